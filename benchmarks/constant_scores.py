@@ -24,7 +24,6 @@ from coded import coded, shifted
 from detectors import view_image
 from errors import noisy, surface_of
 from numpy.typing import NDArray
-from other_sensors import random_scene, random_sensor
 
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.split import split_frame
@@ -39,17 +38,12 @@ from cmp_tactile_processing.measured import (
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.rendering.ink import PrintDefects
-from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Release, Start, Touch
-from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import Simulation
-from cmp_tactile_simulation.simulator import SimulatedFrame
+from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Release, Touch
+from hard_frames.contacts import frames_of_ball
 from hard_frames.covers import Cover, far_from_edge
 from hard_frames.grid_score import displacement_errors, score_grid
 from hard_frames.library import (
-    BLOB_RADIUS,
     CASE_KINDS,
-    RAGGED_LENGTH,
     bad_views,
     cases_of,
     flawed_pairs,
@@ -74,9 +68,8 @@ SEQUENCES = {
     "shifted": slice(2, 8),
 }
 MOST_CASES = {"clean": 7, "hidden": 6, "other rigs": 6}
-# Contacts: frames without one, the way to it, time between frames, numbers of random sensors.
+# Contacts: frames without one, the way to it, time between frames.
 REST_FRAMES, CLEARANCE_M, STEP_NS = 4, 5e-5, NS_PER_S // 15
-OTHER_SENSORS = (1, 4)
 BROKEN_TRIALS, COMMON_TRIALS = 16, 3
 
 
@@ -311,17 +304,9 @@ class Force:
         self.units: dict[str, Unit] = {}
         sample = load_sensor("sample_rig")
         large = replace(sample, elastomer=replace(sample.elastomer, model="neo_hookean"))
-        worn = {"defects": PrintDefects(20, 10, BLOB_RADIUS, 1.5e-5, RAGGED_LENGTH)}
-        self._add("ball", sample, 4e-4, (5e-4, 0.0))
         self._add("slide", sample, 3e-4, (2e-3, 1e-3))
-        self._add("worn print", sample, 4e-4, (2e-4, 2e-4), **worn)
         self._add("large press", large, 9e-4, (3e-4, 0.0))
         self._add("at the border", sample, 4e-4, (0.0, 0.0), at=(6.5e-3, 5e-3))
-        for number in OTHER_SENSORS:
-            random = np.random.default_rng(number)
-            sensor = random_sensor(random)
-            frames = list(Simulation(random_scene(random, sensor)).frames())
-            self._add_frames(f"sensor {number}", sensor, frames)
         self._add_displacements(sample)
 
     def _add(
@@ -331,28 +316,20 @@ class Force:
         depth: float,
         drag: tuple[float, float],
         at: tuple[float, float] = (5e-4, -3e-4),
-        **changes: Any,
     ) -> None:
-        scene = replace(load_scene("contact_sphere"), sensor=sensor, **changes)
-        motion = (
+        images, forces = frames_of_ball(
+            sensor,
+            Touch(at, CLEARANCE_M),
             Phase("rest", REST_FRAMES, Hold()),
             Phase("close", 4, MoveBy((0.0, 0.0, -depth - CLEARANCE_M))),
             Phase("drag", 6, MoveBy((*drag, 0.0))),
             Phase("open", 2, Release(3e-4)),
         )
-        scene = replace(scene, start=Start(Touch(at, CLEARANCE_M)), motion=motion)
-        self._add_frames(name, sensor, list(Simulation(scene).frames()))
-
-    def _add_frames(
-        self, name: str, sensor: SensorDescription, frames: Sequence[SimulatedFrame]
-    ) -> None:
-        images = [frame.image for frame in frames]
-        forces = np.stack([frame.force.wrench[:3] for frame in frames])
-        rest, chosen = images[:REST_FRAMES], slice(REST_FRAMES - 1, None, 2)
+        rest, chosen = images[:REST_FRAMES], slice(REST_FRAMES - 1, None, 3)
         self.units[name] = partial(pressed, sensor, rest, images[chosen], forces[chosen])
 
     def _add_displacements(self, sensor: SensorDescription) -> None:
-        for case in [*load_cases(sensor)[::3], *load_neo_hookean_cases(sensor)[::3]]:
+        for case in [*load_cases(sensor)[5::11], *load_neo_hookean_cases(sensor)[3::4]]:
             model = "neo_hookean" if case.material == NEO_HOOKEAN else "linear"
             rig = replace(sensor, elastomer=replace(sensor.elastomer, model=model))
             name = f"{case.name}, {case.newton:.1f} N, {case.material}"

@@ -6,8 +6,8 @@
 An import hook makes every function of the chosen packages read its constants from memory at a fixed
 address, compiled kernels as well. Each value is tried in a forked process, so nothing is compiled
 twice. A constant is measured on those frames of which a function that reads it is run. The first
-run compiles for some minutes; results are appended to OUTPUT.SCORE.jsonl, and a later run goes on
-there. It also keeps compiled code and frames in benchmark_output; delete them after a change there.
+run compiles for some minutes. Frames, compiled code and results are kept in benchmark_output, and a
+later run goes on there; delete them after a change.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder, SourceFileLoader
+from operator import itemgetter
 from pathlib import Path
 from time import perf_counter
 from types import ModuleType
@@ -333,7 +334,7 @@ def changed(kind: type, value: float, factor: float) -> float:
 def measure(
     constants: Constants, units: Mapping[str, Unit], rare: str, only: str, output: Path
 ) -> None:
-    """Append a line of JSON for each constant that OUTPUT does not have yet."""
+    """Append a line of JSON for each constant that the file does not have yet."""
     known = {tuple(item["name"]) for item in _lines(output)}
     before, read = usual(units)
     began = perf_counter()
@@ -410,27 +411,20 @@ def _lines(output: Path) -> list[dict[str, Any]]:
     return [json.loads(item) for item in output.read_text().splitlines()] if output.exists() else []
 
 
-def table(results: list[dict[str, Any]]) -> Iterator[str]:
-    """Markdown: one table for each module."""
-    yield HEADER
+def write_tables(path: Path, results: list[dict[str, Any]]) -> None:
+    """One table for each module, in place of what the file has of it; the others stay."""
+    before = path.read_text(encoding="utf-8").split("\n## ")[1:] if path.exists() else []
+    tables = {text.partition("\n")[0]: text.rstrip("\n") for text in before}
     for module in dict.fromkeys(item["name"][0] for item in results):
-        yield f"\n## {module.removeprefix(ROOT + '.')}\n"
-        yield head("constant", "value", "units", *CHANGES)
-        for item in (item for item in results if item["name"][0] == module):
+        name = module.removeprefix(ROOT + ".")
+        lines = [name, "", head("constant", "value", "units", *CHANGES)]
+        for item in sorted((i for i in results if i["name"][0] == module), key=itemgetter("name")):
             cells = [item[key] or "-" if key in item else "" for key in CHANGES]
             cells[0] = item.get("not measured", cells[0])
-            yield line(item["name"][1], f"{item['value']:g}", item["units"], *cells)
-
-
-def joined(folder: Path, stem: str) -> list[dict[str, Any]]:
-    """The results of all scores; of a constant that of the score that reached it."""
-    found: dict[tuple[str, ...], dict[str, Any]] = {}
-    for path in sorted(folder.glob(f"{stem}.*.jsonl")):
-        for item in _lines(path):
-            name = tuple(item["name"])
-            if name not in found or "not measured" in found[name]:
-                found[name] = item
-    return [found[name] for name in sorted(found)]
+            lines.append(line(item["name"][1], f"{item['value']:g}", item["units"], *cells))
+        tables[name] = "\n".join(lines)
+    text = "\n\n## ".join([HEADER, *(tables[name] for name in sorted(tables))])
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 def main() -> None:
@@ -450,15 +444,14 @@ def main() -> None:
     compile_reading()
     sys.meta_path.insert(0, constants)
     scores = importlib.import_module("constant_scores")
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    rows = options.output.with_suffix(f".{options.score}.jsonl")
     frames = Path(f"benchmark_output/constants-{options.score}.pickle")
+    frames.parent.mkdir(exist_ok=True)
+    rows = frames.with_suffix(".jsonl")
     if not frames.exists():
         frames.write_bytes(pickle.dumps(scores.UNITS[options.score](options.data)))
     units = pickle.loads(frames.read_bytes())  # noqa: S301
     measure(constants, units, scores.RARE, options.only, rows)
-    lines = table(joined(rows.parent, options.output.stem))
-    options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_tables(options.output, _lines(rows))
 
 
 if __name__ == "__main__":

@@ -57,7 +57,7 @@ def documented() -> Iterator[Any]:
 
 OWN_KEYS = {
     "feature map": {"features"},
-    "grasp": {"gripper"},
+    "grasp": {"gripper", "fingertips"},
     "recipe": {"indenters", "history", "variants"},
 }
 
@@ -126,6 +126,10 @@ def read_recipe_with(folder: Path, block: str) -> None:
 
 def read_grasp(folder: Path, block: str) -> None:
     (folder / "grasp.yaml").write_text(block, encoding="utf-8")
+    # Whatever model it names.
+    for name in re.findall(r"model: (\S+\.xml)", block):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("<mujoco/>", encoding="utf-8")
     assert load_grasp(str(folder / "grasp.yaml")).motion
 
 

@@ -106,7 +106,7 @@ class LiveGrasp:
     def _begin(self) -> None:
         self._held_s = 0.0
         self._asked = Asked(self._scene.motion[0], mass=self._scene.mass)
-        self._motion: Iterator[Asked] = motion_of(self._scene, self._step_s, self._lasts)
+        self._motion: Iterator[Asked] = motion_of(self._scene, self._grasp.world, self._lasts)
 
     @property
     def phase(self) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ContactError, InputError
+from cmp_tactile_processing.errors import ContactError
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_simulation.contact.laws import Pose
@@ -23,8 +23,7 @@ from cmp_tactile_simulation.grasp.world import (
     SHAKE,
     TILT,
     World,
-    load_mujoco,
-    packaged_gripper,
+    gripper_model,
 )
 from cmp_tactile_simulation.indenters import Indenter, MeshIndenter
 from cmp_tactile_simulation.scenes.description import INDENTERS
@@ -67,15 +66,16 @@ class Asked:
 
 
 def motion_of(
-    scene: GraspScene, step: float, lasts: Callable[[GraspPhase], bool] = lambda _: False
+    scene: GraspScene, world: World, lasts: Callable[[GraspPhase], bool] = lambda _: False
 ) -> Iterator[Asked]:
-    """What a scene asks, for each time step of `step` s.
+    """What a scene asks, for each time step of a world at its beginning.
 
     lasts: whether a phase goes on as it is where its duration is over.
     """
-    before = Asked(scene.motion[0], mass=scene.mass)
+    before, step = Asked(scene.motion[0], mass=scene.mass), world.model.opt.timestep
     for phase in scene.motion:
         goal = _goal(phase, before.controls)
+        begin = {name: before.controls.get(name, world.control(name)) for name in goal}
         heavier = before.mass if phase.mass is None else phase.mass
         push = np.array([*phase.force, *phase.torque])
         steps = max(1, round(phase.duration / step))
@@ -83,8 +83,7 @@ def motion_of(
             share = min(1.0, number / steps)
             smooth = share * share * (3 - 2 * share)
             controls = {
-                name: (1 - smooth) * before.controls.get(name, 0.0) + smooth * value
-                for name, value in goal.items()
+                name: (1 - smooth) * begin[name] + smooth * value for name, value in goal.items()
             }
             if phase.shake:
                 angle = 2 * math.pi * phase.shake_hz * number * step
@@ -113,7 +112,7 @@ class Grasp:
         progress: OnProgress = no_progress,
     ) -> None:
         self.scene = scene
-        self.world = World(_model(scene), SIDES, OBJECT, scene.gripper.speed)
+        self.world = World(gripper_model(scene), SIDES, OBJECT, scene.gripper.speed, scene.keyframe)
         self._pictures = pictures
         self.fingers = {
             side: Simulator(
@@ -145,7 +144,7 @@ class Grasp:
         period, index = 1 / scene.rate, 0
         now, phase = 0.0, ""
         try:
-            for number, asked in enumerate(motion_of(scene, step)):
+            for number, asked in enumerate(motion_of(scene, world)):
                 now, phase = number * step, asked.phase.name
                 if now >= index * period - step / 2:
                     # The picture shows the gel as it is at this moment.
@@ -188,18 +187,6 @@ def _goal(phase: GraspPhase, before: Mapping[str, float]) -> dict[str, float]:
     if phase.tilt_deg is not None:
         goal[TILT] = math.radians(phase.tilt_deg)
     return goal
-
-
-def _model(scene: GraspScene) -> object:
-    """The packaged gripper, or the user's model."""
-    if scene.model is None:
-        return packaged_gripper(scene)
-    path = scene.file.parent / scene.model
-    try:
-        return load_mujoco().MjSpec.from_file(str(path))
-    except ValueError as error:
-        msg = f"{path}: MuJoCo refuses it: {error}"
-        raise InputError(msg) from None
 
 
 def _body(scene: GraspScene, pose: Pose) -> Indenter:

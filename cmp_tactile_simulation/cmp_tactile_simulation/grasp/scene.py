@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cmp_tactile_processing.cache.files import packaged_files
 from cmp_tactile_processing.errors import InputError, RefusedValueError
@@ -70,6 +70,18 @@ class Gripper(Part):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Fingertip(Part):
+    """Where a finger of another gripper's model has its gel.
+
+    body: of the finger.  pos m, xyaxes: origin, x and y directions of the gel frame in the body's.
+    """
+
+    body: str = field(metadata=text())
+    pos: Vector = (0.0, 0.0, 0.0)
+    xyaxes: tuple[float, float, float, float, float, float] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class GraspPhase(Part):
     """A part of a grasp; what it does not name stays as it was.
 
@@ -101,8 +113,8 @@ class GraspKeys(Part):
 
     sensor: description of both fingertips.  mass kg and position m: of the object on the table.
     rate: of frames, Hz.  contact_nodes, samples: as of a scene.  camera: of both.
-    model: MJCF of another gripper, with the sites `left` and `right` (gel frames: z outwards) and
-    the body `object`; its actuators are set by `controls`.
+    model: MJCF of another gripper, with the sites `left` and `right` (gel frames: z outwards), or
+    where fingertips has them; its actuators are set by `controls`.  keyframe: of it, to begin at.
     """
 
     name: Name
@@ -112,6 +124,8 @@ class GraspKeys(Part):
     position: Vector = (0.0, 0.0, 0.03)
     gripper: Gripper = field(default_factory=Gripper)
     model: str | None = field(default=None, metadata=text())
+    fingertips: Mapping[Literal["left", "right"], Fingertip] = field(default_factory=dict)
+    keyframe: str | None = field(default=None, metadata=text())
     rate: float = field(default=10.0, metadata=number(1.0, 200.0, "Hz"))
     contact_nodes: int = field(default=20, metadata=number(*NODES_RANGE))
     samples: int = field(default=2, metadata=number(1, 8))
@@ -122,6 +136,9 @@ class GraspKeys(Part):
         """There is something to do."""
         if not self.motion:
             raise RefusedValueError("a list of one or more phases", "motion")
+        if self.model is None and (self.fingertips or self.keyframe):
+            key = "fingertips" if self.fingertips else "keyframe"
+            raise RefusedValueError("no such key without a model", key)
         return self
 
 

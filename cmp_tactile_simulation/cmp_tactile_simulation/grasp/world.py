@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 
 PACKAGE = "cmp_tactile_simulation"
 INSTALL = "found no MuJoCo: pip install mujoco"
+# Longer steps let a light object on two gels swing more and more, s.
+MAX_STEP_S = 5e-4
 # Names in the packaged gripper, of its actuators (a grip is one of each finger) and of what it
 # holds.
 LIFT, SHAKE, TILT, GRIP, OBJECT = "lift", "shake", "tilt", "grip", "object"
@@ -43,20 +45,38 @@ def load_mujoco() -> Any:
     return mujoco
 
 
-def packaged_gripper(scene: GraspScene) -> Any:
-    """The MuJoCo model (MjSpec) of the packaged gripper and the object of a scene.
+def gripper_model(scene: GraspScene) -> Any:
+    """The MuJoCo model (MjSpec) of the packaged gripper, or of the scene's own, with the object.
 
-    World: x across the fingers, y along which they close, z up.
+    World of the packaged one: x across the fingers, y along which they close, z up.
+    Raises InputError for a file that MuJoCo refuses, and for a fingertip on an unknown body.
     """
-    mujoco, gripper = load_mujoco(), scene.gripper
-    spec = mujoco.MjSpec.from_file(str(packaged_files(PACKAGE, "grasps/*.xml")["gripper"]))
-    spec.body("hand").pos[2] = gripper.height
-    for side in SIDES:
-        place = spec.site(side).pos
-        place[1] = math.copysign(gripper.opening / 2, place[1])
-    held = spec.worldbody.add_body(name=OBJECT, pos=scene.position)
-    held.add_freejoint()
-    _add_shape(mujoco, spec, held, scene)
+    mujoco = load_mujoco()
+    packaged = packaged_files(PACKAGE, "grasps/*.xml")["gripper"]
+    path = packaged if scene.model is None else scene.file.parent / scene.model
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        msg = f"{path}: MuJoCo refuses it: {error}"
+        raise InputError(msg) from None
+    spec.option.timestep = min(spec.option.timestep, MAX_STEP_S)
+    if scene.model is None:
+        spec.body("hand").pos[2] = scene.gripper.height
+        for side in SIDES:
+            place = spec.site(side).pos
+            place[1] = math.copysign(scene.gripper.opening / 2, place[1])
+    for side, tip in scene.fingertips.items():
+        finger = spec.body(tip.body)
+        if finger is None:
+            names = ", ".join(body.name for body in spec.bodies[1:])
+            msg = f"{path}: found the bodies {names}, expected {tip.body} of the {side} fingertip"
+            raise InputError(msg)
+        site = finger.add_site(name=side, pos=tip.pos)
+        site.alt.type, site.alt.xyaxes = mujoco.mjtOrientation.mjORIENTATION_XYAXES, tip.xyaxes
+    if spec.body(OBJECT) is None:
+        held = spec.worldbody.add_body(name=OBJECT, pos=scene.position)
+        held.add_freejoint()
+        _add_shape(mujoco, spec, held, scene)
     return spec
 
 
@@ -87,8 +107,14 @@ class World:
     speed: m/s, of each finger of the packaged gripper.
     """
 
-    def __init__(self, spec: Any, sites: Sequence[str], held: str, speed: float) -> None:
-        """Raises InputError for a model that MuJoCo refuses, or without a site or the body."""
+    def __init__(
+        self, spec: Any, sites: Sequence[str], held: str, speed: float, keyframe: str | None = None
+    ) -> None:
+        """keyframe: of the model, to begin at.
+
+        Raises InputError for a model that MuJoCo refuses, or without a site, the body or the
+        keyframe.
+        """
         self._mujoco, self._warnings = load_mujoco(), list[str]()
         # Otherwise MuJoCo writes a file into the working folder, and begins the simulation again.
         self._mujoco.set_mju_user_warning(self._warnings.append)
@@ -97,7 +123,10 @@ class World:
         except ValueError as error:
             msg = f"model: MuJoCo refuses it: {error}"
             raise InputError(msg) from None
+        # What it says of the model's files changes nothing later.
+        self._warnings.clear()
         self.data = self._mujoco.MjData(self.model)
+        self._keyframe = None if keyframe is None else self._number("key", keyframe)
         self._names, self._speed = list(sites), speed
         self._sites = [self._number("site", name) for name in sites]
         self._held = self._number("body", held)
@@ -120,9 +149,15 @@ class World:
     def reset(self) -> None:
         """Everything where it was at the beginning; gels have to be held again."""
         self._mujoco.mj_resetData(self.model, self.data)
+        if self._keyframe is not None:
+            self._mujoco.mj_resetDataKeyframe(self.model, self.data, self._keyframe)
         self.model.body_mass[:], self.model.body_inertia[:] = self._masses
         self._mujoco.mj_forward(self.model, self.data)
         self._warnings.clear()
+
+    def control(self, name: str) -> float:
+        """What the actuator of a name is set to, 0 for the grip of both fingers."""
+        return 0.0 if name == GRIP else float(self.data.ctrl[self._number("actuator", name)])
 
     def hold(self, contacts: Sequence[ContactSimulation]) -> None:
         """Let these gels act between the fingertips and the object from now on.

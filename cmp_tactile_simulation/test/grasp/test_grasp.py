@@ -21,6 +21,7 @@ from cmp_tactile_simulation.grasp.play import Grasp, GraspFrame
 from cmp_tactile_simulation.grasp.record import record_grasp
 from cmp_tactile_simulation.grasp.scene import (
     SIDES,
+    Fingertip,
     GraspPhase,
     GraspScene,
     load_grasp,
@@ -172,6 +173,58 @@ def test_own_model_grasps(box: GraspScene, tmp_path: Path) -> None:
         played(scene, [close])
 
 
+# As hands come in collections of models: no sites, no object, one servo for both fingers.
+HAND = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
+  <geom type="plane" size="1 1 0.1"/>
+  <body name="hand" pos="0 0 0.13" quat="0 1 0 0" gravcomp="1">
+    <inertial mass="1" pos="0 0 0" diaginertia="0.01 0.01 0.01"/>
+    <joint name="lift" type="slide" axis="0 0 -1"/>
+    <body name="left_finger" pos="0 0 0.06" gravcomp="1">
+      <inertial mass="0.015" pos="0 0 0" diaginertia="2e-6 2e-6 1e-6"/>
+      <joint name="left" type="slide" axis="0 1 0" range="0 0.04" armature="0.1" damping="1"/>
+      <geom type="box" size="0.0085 0.004 0.0085" pos="0 0.0055 0.04"/>
+    </body>
+    <body name="right_finger" pos="0 0 0.06" quat="0 0 0 1" gravcomp="1">
+      <inertial mass="0.015" pos="0 0 0" diaginertia="2e-6 2e-6 1e-6"/>
+      <joint name="right" type="slide" axis="0 1 0" range="0 0.04" armature="0.1" damping="1"/>
+      <geom type="box" size="0.0085 0.004 0.0085" pos="0 0.0055 0.04"/>
+    </body>
+  </body></worldbody>
+  <tendon><fixed name="both"><joint joint="left" coef="0.5"/><joint joint="right" coef="0.5"/>
+  </fixed></tendon>
+  <equality><joint joint1="left" joint2="right" solref="0.005 1"/></equality>
+  <actuator><position name="lift" joint="lift" kp="50000" kv="800"/>
+    <general name="fingers" tendon="both" biastype="affine" gainprm="1" biasprm="0 -400 -10"
+      forcerange="-100 100"/></actuator>
+  <keyframe><key name="open" qpos="0 0.03 0.03" ctrl="0 12"/></keyframe></mujoco>"""
+
+
+def test_hand_without_sites_and_object_holds_the_scenes_object(
+    box: GraspScene, tmp_path: Path
+) -> None:
+    """The scene says where the gels are, and adds what is held; the hand begins at a keyframe."""
+    (tmp_path / "hand.xml").write_text(HAND)
+    tips = {
+        side: Fingertip(body=f"{side}_finger", pos=(0, 0, 0.04), xyaxes=(1, 0, 0, 0, 0, 1))
+        for side in SIDES
+    }
+    changes = {"model": "hand.xml", "file": tmp_path / "scene.yaml", "mass": 0.1, "rate": 50.0}
+    changes |= {"keyframe": "open", "fingertips": tips}
+    close = GraspPhase(name="close", duration=0.6, controls={"fingers": 0.0})
+    lift = GraspPhase(name="lift", duration=0.4, controls={"lift": 0.02})
+    *_, last = played(box, [close, lift, HOLD], **changes).frames()
+    # The servo pulls with 400 N/m on half of each finger's way of 15 mm.
+    for side in SIDES:
+        assert -last.wrenches[side][2] == pytest.approx(400 * 0.015 / 2, rel=0.05)
+    weight = 0.1 * GRAVITY
+    assert np.linalg.norm(force_on_object(last) - (0, 0, weight)) < 0.01 * weight
+    assert last.held.position[2] == pytest.approx(0.05, abs=1e-3)
+    with pytest.raises(InputError, match=r"hand, left_finger.*expected thumb"):
+        played(box, [close], **{**changes, "fingertips": {"left": Fingertip(body="thumb")}})
+    with pytest.raises(InputError, match="found the key names open, expected home"):
+        played(box, [close], **{**changes, "keyframe": "home"})
+
+
 def test_packaged_grasps_can_be_read() -> None:
     scenes = [load_grasp(name) for name in packaged_grasps()]
     assert len(scenes) >= 5
@@ -186,6 +239,7 @@ def test_packaged_grasps_can_be_read() -> None:
         ("duration: 0.5, grip: 3.0", "grip: 3.0", r"motion\[0\]\.duration"),
         ("lift: 0.04", "lyft: 0.04", "lyft"),
         ("title:", "sensor: nowhere\ntitle:", "sensor"),
+        ("title:", "fingertips: {left: {body: finger}}\ntitle:", "fingertips.*without a model"),
     ],
 )
 def test_wrong_scene_is_named_by_line_and_key(
