@@ -28,6 +28,8 @@ DAMPING_S = 5e-4
 # The gel is solved again where its tangent changes the force by more than this share of the normal
 # force, and by more than so much, N: it knows no end of sticking, and no more nodes that touch.
 LARGEST_CHANGE, LEAST_CHANGE_N = 0.02, 0.01
+# A gel that is touched follows no faster: a world that moves farther at once has no solution, m.
+FARTHEST_M = 2e-3
 # How far a contact reaches about, m, to compare moments with forces.
 ARM_M = 4e-3
 
@@ -105,6 +107,11 @@ class FingerContact:
             with suppress(ContactError):
                 self.touch = self._solved(self.contact.rest(pose))
                 return
+        way = float(np.linalg.norm(pose.position - state.pose.position))
+        if self.touch.touches and not way < FARTHEST_M:
+            limit = f"expected less than {1e3 * FARTHEST_M:g} mm"
+            msg = f"found a motion of {1e3 * way:.3g} mm in a time step, {limit}"
+            raise ContactError(msg)
         self.touch = self._solved(self.contact.move(state, pose))
 
     def _solved(self, state: ContactState) -> FingerTouch:

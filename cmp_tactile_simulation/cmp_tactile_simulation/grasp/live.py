@@ -140,8 +140,10 @@ class LiveGrasp:
 
     def _controls(self) -> dict[str, float]:
         controls = {**self._asked.controls, **self.controls}
-        # At the end of a scene the hand opens, whatever a controller asks for.
-        if self._settings.drive == COMMAND and controls.get(GRIP, 0.0) >= 0:
+        # At the end of a scene the hand opens, whatever a controller asks for.  A gripper of the
+        # user's own has no such opening.
+        commanded = self._settings.drive == COMMAND and self._scene.model is None
+        if commanded and controls.get(GRIP, 0.0) >= 0:
             controls.pop(GRIP, None)
             controls[OPENING] = (
                 self._scene.gripper.opening if self.command is None else self.command
