@@ -56,8 +56,6 @@ MAX_SECOND_PASS_RATIO = 1.2
 MAX_ADDITIONS = 2
 # Markers that no force has moved, as those of another reference, are explained by weak loads on the
 # whole surface; so is a gel that does not quite follow the model.  So nodes are added only if
-# - the second pass leaves at most this share of the displacement beside the noise,
-MAX_RESIDUAL_SHARE = 0.3
 # - at most this share of the nodes is then loaded,
 MAX_LOADED_SHARE = 0.5
 # - the squared misfit is then at most this many times that of the first pass.
@@ -290,25 +288,19 @@ class ForceSolver:
         for _ in range(MAX_ADDITIONS):
             if posterior.noise_squared <= MAX_SECOND_PASS_RATIO * first.noise_squared:
                 return posterior
-            mask = self._with_more(first, posterior, seen)
+            mask = self._with_more(posterior, seen)
             if mask is None:
                 break
             posterior = self._on(mask, first, seen)
         explained = posterior.noise_squared <= MAX_MISFIT_RATIO * first.noise_squared
         return posterior if explained else second_pass
 
-    def _with_more(
-        self, first: FirstPass, posterior: TractionPosterior, seen: SeenData
-    ) -> Mask | None:
+    def _with_more(self, posterior: TractionPosterior, seen: SeenData) -> Mask | None:
         """Nodes (n,) of the posterior and those that what it leaves asks for; None for none."""
         if self._is_all_over(len(posterior.nodes)):
             return None
         predicted = self._spectrum.respond(self._on_all_nodes(posterior).ravel())
-        rest = np.where(seen.known, seen.data - predicted, 0.0)
-        of_noise = first.noise_squared * np.count_nonzero(seen.known)
-        if rest @ rest - of_noise > MAX_RESIDUAL_SHARE**2 * (seen.data @ seen.data):
-            return None
-        left = self._spectrum.solve(rest, seen.known)
+        left = self._spectrum.solve(seen.data - predicted, seen.known)
         if left.evidence < self._parameters.contact_evidence:
             return None
         force = self._collected(left.coefficient)

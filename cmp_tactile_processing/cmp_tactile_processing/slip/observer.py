@@ -34,8 +34,6 @@ from cmp_tactile_processing.slip.surface_motion import ContactSurface
 MIN_NORMAL_GROWTH = 1.05
 # Nothing has slid if the tangential force grew less steeply than this many times the present ratio.
 MAX_STICKING_STEEPNESS_RATIO = 1.2
-# A larger change of the ratio starts the test again.
-MAX_RATIO_CHANGE = 0.05
 # Sliding is revoked if the friction ratio later rises by more than this share: a sliding contact
 # cannot carry more.
 REVOKED_ABOVE_SHARE = 0.1
@@ -88,7 +86,7 @@ class ContactTrack:
     def _forget(self) -> None:
         self._begun = False
         self._anchor: TractionRecord | None = None
-        self._level: tuple[float, float, NDArray[np.float64]] = (0.0, 0.0, np.zeros(3))
+        self._level: tuple[float, NDArray[np.float64]] = (0.0, np.zeros(3))
         self._known = False  # whether it is known that not all slid at the anchor
         self._peak: tuple[float, float, TractionRecord] | None = None
         self._recent: deque[float] = deque(maxlen=STEADY_FRAMES)
@@ -152,11 +150,11 @@ class ContactTrack:
         self._level_at(patch)
 
     def _level_at(self, patch: ContactPatch) -> None:
-        self._level = patch.normal_force, patch.use.ratio, patch.along.sum(axis=0)
+        self._level = patch.normal_force, patch.along.sum(axis=0)
 
     def _follow(self, patch: ContactPatch) -> None:
         """Count from now where the tangential force grew only along with the normal force."""
-        normal, ratio, along = self._level
+        normal, along = self._level
         least = self._parameters.min_traction_ratio
         if patch.normal_force >= MIN_NORMAL_GROWTH * normal:
             rise = float(np.linalg.norm(patch.along.sum(axis=0) - along))
@@ -165,7 +163,7 @@ class ContactTrack:
                 below = patch.use.ratio < (1 - MIN_RELEASED_SHARE) * self._friction
                 self._anchor_at(patch, known=self._known or bool(below))
             self._level_at(patch)
-        elif patch.normal_force < normal or abs(patch.use.ratio - ratio) > MAX_RATIO_CHANGE:
+        elif patch.normal_force < normal:
             self._level_at(patch)
 
     def _turned(self, patch: ContactPatch, reach: FrictionUse) -> bool:
