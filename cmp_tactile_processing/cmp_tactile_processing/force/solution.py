@@ -52,8 +52,6 @@ REST_WEIGHT = 1e-6
 # The second pass lacks nodes if it leaves more than this many times the first pass's squared
 # misfit; else the ratio is mostly below 1.1.
 MAX_SECOND_PASS_RATIO = 1.2
-# So often nodes are added at most.
-MAX_ADDITIONS = 2
 # Markers that no force has moved, as those of another reference, are explained by weak loads on the
 # whole surface; so is a gel that does not quite follow the model.  So nodes are added only if
 # - at most this share of the nodes is then loaded,
@@ -284,16 +282,14 @@ class ForceSolver:
         They are below a share of its peak, as is what rings around it.  What the second pass
         leaves over does not ring, and shows them.
         """
-        second_pass = posterior
-        for _ in range(MAX_ADDITIONS):
-            if posterior.noise_squared <= MAX_SECOND_PASS_RATIO * first.noise_squared:
-                return posterior
-            mask = self._with_more(posterior, seen)
-            if mask is None:
-                break
-            posterior = self._on(mask, first, seen)
-        explained = posterior.noise_squared <= MAX_MISFIT_RATIO * first.noise_squared
-        return posterior if explained else second_pass
+        if posterior.noise_squared <= MAX_SECOND_PASS_RATIO * first.noise_squared:
+            return posterior
+        mask = self._with_more(posterior, seen)
+        if mask is None:
+            return posterior
+        wider = self._on(mask, first, seen)
+        explained = wider.noise_squared <= MAX_MISFIT_RATIO * first.noise_squared
+        return wider if explained else posterior
 
     def _with_more(self, posterior: TractionPosterior, seen: SeenData) -> Mask | None:
         """Nodes (n,) of the posterior and those that what it leaves asks for; None for none."""
