@@ -81,7 +81,7 @@ def test_wrong_ros_arguments_are_one_line(arguments, error, capfd):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["none.py"], 2, "error: none.py: found no such file, expected a path or one of grasp, gripper, "),
+        (["none.py"], 2, "error: none.py: found no such file, expected a path or one of grasp, "),
         (["replay", "rate"], 2, "error: found 'rate', expected NAME:=VALUE"),
         (["replay", "pace:=2"], 2, "error: found argument 'pace', expected one of: sensor, name, "),
         (["replay", "loop:=maybe"], 2, "error: argument loop: found 'maybe', expected a boolean"),
