@@ -210,8 +210,8 @@ class Component:
     component's own.  remappings: from old to new name.  parameters: values by name, or rclpy's
     parameters.  log_level: a constant of rcl_interfaces/Log, 0 for the default.  intra_process:
     whether messages pass to other components of the process as objects.  sensor: its own.
-    process: of what belongs to no sensor, namespace of the process that it shares with others of
-    the same; empty for one process of the whole graph.
+    process: of what belongs to no sensor, namespace of its own process; empty for that of the first
+    sensor.
     """
 
     package: str

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cmp_tactile_driver.bags.writer import LATCHED, BagWriter
 from cmp_tactile_processing.cache.files import partial_folder
@@ -32,6 +31,7 @@ from cmp_tactile_simulation.recording.truth import (
     FrameWriter,
     add_simulated_topic,
     pose_message,
+    transform_message,
     write_simulated,
 )
 
@@ -172,10 +172,7 @@ class _GraspBag:
         self._write(OBJECT_TOPIC, frame, pose_message(make, frame.held, header))
         poses = {OBJECT_FRAME: frame.held}
         poses |= {self._gels[side]: frame.fingertips[side] for side in SIDES}
-        transforms = [
-            make.transform(header, child, pose.position, Rotation.from_matrix(pose.rotation))
-            for child, pose in poses.items()
-        ]
+        transforms = [transform_message(make, child, pose, header) for child, pose in poses.items()]
         self._write(TF_TOPIC, frame, make.new(TF_MESSAGE, transforms=transforms))
         nothing = np.zeros(0)
         controls = make.new(

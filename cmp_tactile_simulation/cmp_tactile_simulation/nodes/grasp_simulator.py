@@ -16,7 +16,6 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
@@ -44,7 +43,7 @@ from cmp_tactile_simulation.grasp.body import OBJECT_FRAME, object_marker
 from cmp_tactile_simulation.grasp.live import GraspMoment, LiveGrasp, LiveGraspSettings
 from cmp_tactile_simulation.grasp.scene import SIDES, load_grasp
 from cmp_tactile_simulation.grasp.world import load_mujoco
-from cmp_tactile_simulation.recording.truth import pose_message
+from cmp_tactile_simulation.recording.truth import pose_message, transform_message
 
 Array = NDArray[np.float64]
 # Commands are taken, and clock and opening published, about so often, s of simulated time.
@@ -203,11 +202,13 @@ class GraspSimulator(ReportingNode):
         middle = make.header(stamp_ns, self._own.gripper_frame)
         gripper = gripper_pose(*tips.values())
         transforms = [
-            _transform(world, self._own.gripper_frame, gripper),
-            _transform(world, OBJECT_FRAME, moment.held),
+            transform_message(make, self._own.gripper_frame, gripper, world),
+            transform_message(make, OBJECT_FRAME, moment.held, world),
         ]
         transforms += [
-            _transform(middle, gel_frame(finger.sensor), _seen_from(gripper, tips[side]))
+            transform_message(
+                make, gel_frame(finger.sensor), _seen_from(gripper, tips[side]), middle
+            )
             for side, finger in self._fingers.items()
         ]
         self._transforms.sendTransform(transforms)
@@ -272,11 +273,6 @@ def gripper_pose(left: Pose, right: Pose) -> Pose:
 def _seen_from(frame: Pose, pose: Pose) -> Pose:
     turn = frame.rotation.T
     return Pose(turn @ (pose.position - frame.position), turn @ pose.rotation)
-
-
-def _transform(header: Any, child: str, pose: Pose) -> Any:
-    rotation = Rotation.from_matrix(pose.rotation)
-    return ROS_MESSAGES.transform(header, child, pose.position, rotation)
 
 
 def main() -> int:

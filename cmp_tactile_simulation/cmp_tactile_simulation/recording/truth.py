@@ -130,6 +130,11 @@ def pose_message(make: making.MessageMaker, pose: Pose, header: Any) -> Any:
     return make.new(POSE_STAMPED, header=header, pose=place)
 
 
+def transform_message(make: making.MessageMaker, child: str, pose: Pose, header: Any) -> Any:
+    """A TransformStamped: the pose of a child in the frame of the header."""
+    return make.transform(header, child, pose.position, Rotation.from_matrix(pose.rotation))
+
+
 class RecordingWriter:
     """Writes the bag of one sensor into the folder of its scene.
 
