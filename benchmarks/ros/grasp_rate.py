@@ -36,7 +36,7 @@ SHARE, PHASE = "share of real time", "phase"
 def cost(name: str) -> tuple[float, float, float]:
     """Processor time of mechanics a second, of a pair of frames, and of OpenCV on these, s."""
     scene, opencv = load_grasp(name), peers()[0]
-    sensor, truth = scene.fingertip, OpticalTruth(scene.fingertip)
+    truths = {side: OpticalTruth(sensor) for side, sensor in scene.described.items()}
     grasp = LiveGrasp(scene, LiveGraspSettings(loop=False))
     grasp.taken = sys.maxsize
     mechanics = pictures = found = 0.0
@@ -52,10 +52,10 @@ def cost(name: str) -> tuple[float, float, float]:
         drawn = grasp.pictures(moment)
         pictures += time.process_time() - begin
         for side, image in drawn.items():
-            for view, grid in truth.grids(moment.surfaces[side]).items():
+            for view, grid in truths[side].grids(moment.surfaces[side]).items():
                 cut = split_frame(image, grid.placement)
                 with one_opencv_thread():
-                    found += opencv.detect(sensor, view, cut, grid).seconds
+                    found += opencv.detect(scene.described[side], view, cut, grid).seconds
         frames += 1
     return mechanics / scene.duration, pictures / frames, found / frames
 
@@ -78,14 +78,14 @@ class Shares(Listener):
 
 
 def live(name: str, seconds: float) -> float:
-    """Median share of real time with the nodes of both sensors, in processes of their own."""
+    """Mean share of real time with the nodes of both sensors, in processes of their own."""
     command = python_command("cmp_tactile_bringup.command", "grasp", name, "--live")
     with Shares() as shares, subprocess.Popen(command, stdout=subprocess.DEVNULL) as running:
         end = time.monotonic() + 5 * seconds
         while len(shares.found) < seconds and time.monotonic() < end:
             time.sleep(0.5)
         running.terminate()
-    return statistics.median(shares.found) if shares.found else float("nan")
+    return statistics.mean(shares.found) if shares.found else float("nan")
 
 
 def main() -> None:

@@ -138,11 +138,8 @@ class MeshIndenter:
     def distance(self, p_indenter: Array) -> tuple[Array, Array]:
         """See Indenter.distance."""
         p_start = p_indenter @ self.rotation.T
-        height, slope = self.heights.at(p_start[:, :2])
-        normal = np.concatenate([slope, -np.ones((len(slope), 1))], axis=1)
-        steepness = np.linalg.norm(normal, axis=1)
-        gap = (height - p_start[:, 2]) / steepness
-        return gap, (normal / steepness[:, None]) @ self.rotation
+        gap, normal = self.heights.distance(p_start)
+        return gap, normal @ self.rotation
 
 
 def _read(path: Path) -> Any:
@@ -243,22 +240,40 @@ class HeightField:
         by_y, by_x = np.gradient(height, resolution)
         return cls((float(low[0]), float(low[1])), resolution, height, np.stack([by_x, by_y], -1))
 
-    def at(self, points: Array) -> tuple[Array, Array]:
-        """Height (k,) m and slope (k, 2) at points (k, 2) m; beyond the grid it goes on rising.
+    def distance(self, points: Array) -> tuple[Array, Array]:
+        """Distance (k,) m of points (k, 3) along z, shortened by the slope, and normals (k, 3).
 
-        Both are bilinear between grid points, so that the slope has no jumps.
+        Height and slope are bilinear between grid points, so that normals have no jumps; beyond the
+        grid the surface goes on rising.
         """
-        rows, cols = self.height.shape
-        q = (points - self.corner) / self.resolution
-        inside = np.clip(q, 0, [cols - 1, rows - 1])
-        beyond = self.resolution * np.linalg.norm(q - inside, axis=1)
-        at = inside.T[::-1]
-        height = ndimage.map_coordinates(self.height, at, order=1, mode="nearest")
-        slope = [
-            ndimage.map_coordinates(self.slope[..., axis], at, order=1, mode="nearest")
-            for axis in range(2)
-        ]
-        return height + WALL_SLOPE * beyond, np.stack(slope, axis=-1)
+        return _distance(self.height, self.slope, self.corner, self.resolution, points)
+
+
+@kernel
+def _distance(
+    height: Array, slope: Array, corner: tuple[float, float], resolution: float, points: Array
+) -> tuple[Array, Array]:
+    rows, cols = height.shape
+    gap, normal = np.empty(len(points)), np.empty((len(points), 3))
+    for k in range(len(points)):
+        x, y = (points[k, 0] - corner[0]) / resolution, (points[k, 1] - corner[1]) / resolution
+        inside_x, inside_y = min(max(x, 0.0), cols - 1.0), min(max(y, 0.0), rows - 1.0)
+        beyond = resolution * np.hypot(x - inside_x, y - inside_y)
+        j, i = min(int(inside_x), cols - 2), min(int(inside_y), rows - 2)
+        v, u = inside_x - j, inside_y - i
+        near, far = (1 - u) * (1 - v), u * v
+        right, up = (1 - u) * v, u * (1 - v)
+        z = near * height[i, j] + right * height[i, j + 1]
+        z += up * height[i + 1, j] + far * height[i + 1, j + 1]
+        for c in range(2):
+            normal[k, c] = near * slope[i, j, c] + right * slope[i, j + 1, c]
+            normal[k, c] += up * slope[i + 1, j, c] + far * slope[i + 1, j + 1, c]
+        steepness = np.sqrt(normal[k, 0] ** 2 + normal[k, 1] ** 2 + 1.0)
+        gap[k] = (z + WALL_SLOPE * beyond - points[k, 2]) / steepness
+        normal[k, 0] /= steepness
+        normal[k, 1] /= steepness
+        normal[k, 2] = -1.0 / steepness
+    return gap, normal
 
 
 @kernel

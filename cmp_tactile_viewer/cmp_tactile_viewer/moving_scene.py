@@ -13,12 +13,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_driver.bags.storage import BagStorage
-from cmp_tactile_processing.ros.messages.making import MARKER, TRIANGLE_LIST, gel_frame
+from cmp_tactile_processing.ros.messages.making import (
+    MARKER,
+    MARKER_TOPIC,
+    TRIANGLE_LIST,
+    gel_frame,
+)
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_viewer.snapshot import Body, Pose, ShownSensor, Snapshot
 
-TF_MESSAGE, MARKER_TOPIC = "tf2_msgs/msg/TFMessage", "/object/marker"
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 # A shorter quaternion is none: messages that nobody filled in have zeros.
 MIN_QUATERNION_LENGTH = 0.1
 

@@ -17,8 +17,8 @@ from cmp_tactile_processing.ros.messages.definitions import (
     simulation_definition,
     simulation_typestore,
 )
-from cmp_tactile_processing.ros.messages.making import MARKER
-from cmp_tactile_viewer.moving_scene import MARKER_TOPIC, TF_MESSAGE, MovingScene
+from cmp_tactile_processing.ros.messages.making import MARKER, MARKER_TOPIC
+from cmp_tactile_viewer.moving_scene import TF_MESSAGE, MovingScene
 from cmp_tactile_viewer.recording import COMPRESSED_IMAGE, open_source
 from cmp_tactile_viewer.snapshot import Snapshot
 

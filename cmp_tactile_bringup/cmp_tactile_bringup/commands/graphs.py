@@ -22,7 +22,9 @@ ASSIGNMENTS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Graph(Command):
+class GraphCommand(Command):
+    """A graph of nodes, started here."""
+
     words: Annotated[list[str] | None, argument("[NAME:=VALUE]", ASSIGNMENTS)] = None
     show_args: Annotated[bool, option("list all arguments and end")] = False
 
@@ -40,7 +42,7 @@ class _Graph(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensor(_Graph):
+class Sensor(GraphCommand):
     """Start a camera and the nodes of its sensor in a component container:
 
       cmp_tactile sensor sensor:=my_sensor.yaml device:=/dev/video0
@@ -79,7 +81,7 @@ class Gripper(Sensor):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Live(_Graph):
+class Live(GraphCommand):
     """Start the nodes of one sensor in a component container, with a simulated sensor instead of a
     camera. Its indenter plays the scene until a target or a load comes:
 
@@ -109,7 +111,7 @@ class Live(_Graph):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Replay(_Graph):
+class Replay(GraphCommand):
     """Start the nodes of one sensor in a component container and play bags, videos or folders of
     images into them. Keys on a terminal: space pauses, . shows the next frame, left and right go
     one second back or forward, z zeroes the sensor, q or Ctrl-C ends. The same as `ros2 launch

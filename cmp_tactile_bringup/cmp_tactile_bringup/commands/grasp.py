@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from cmp_tactile_bringup.commands.graphs import ASSIGNMENTS
-from cmp_tactile_bringup.commands.options import Command, argument, misuse, option
+from cmp_tactile_bringup.commands.graphs import ASSIGNMENTS, GraphCommand
+from cmp_tactile_bringup.commands.options import argument, misuse, option
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grasp(Command):
+class Grasp(GraphCommand):
     """Simulate a grasp: a gripper whose fingertips are sensors lifts, tilts and shakes an object in
     MuJoCo, and the gels' contact holds it. Writes one bag with the frames of both sensors, their
     truth, what is measured in them, and the poses; a table of both wrenches; a video. docs/grasp.md
@@ -40,16 +40,12 @@ class Grasp(Command):
         """Play and record the grasp, run it live, or list the packaged ones."""
         from cmp_tactile_simulation.grasp.scene import load_grasp, packaged_grasps
 
-        words = self.words or []
-        scenes = [word for word in words if ":=" not in word]
+        scenes = self._inputs()
         if len(scenes) > 1:
             misuse(f"found {scenes[1]!r} after the scene, expected NAME:=VALUE")
-        if self.live:
-            from cmp_tactile_bringup.container.executables import standalone
-
-            given = [f"scene:={scene}" for scene in scenes]
-            return standalone(["grasp", *given, *(word for word in words if ":=" in word)])
-        if len(words) > len(scenes):
+        if self.live or self.show_args:
+            return self._start("grasp", *(f"scene:={scene}" for scene in scenes))
+        if len(self.words or []) > len(scenes):
             misuse("found NAME:=VALUE, expected it with --live alone")
         if not scenes:
             for name, path in packaged_grasps().items():

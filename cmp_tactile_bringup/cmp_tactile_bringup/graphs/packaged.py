@@ -164,9 +164,12 @@ def grasp(given: Mapping[str, Any]) -> list[Component]:
     # Its rooms are imported by those who simulate alone.
     from cmp_tactile_simulation.grasp.scene import load_grasp
 
-    file = str(load_grasp(given["scene"]).sensor_file)
-    fixed = {"source": TOPIC, "sensor": file, "use_sim_time": True, "frame_queue": "newest"}
-    fingers = [sensor_components({**fixed, "name": name})[0] for name in FINGERS]
+    fixed = {"source": TOPIC, "use_sim_time": True, "frame_queue": "newest"}
+    files = load_grasp(given["scene"]).files.values()
+    fingers = [
+        sensor_components({**fixed, "sensor": str(file), "name": name})[0]
+        for name, file in zip(FINGERS, files, strict=True)
+    ]
     package = "cmp_tactile_simulation"
     parameters = {
         **given,

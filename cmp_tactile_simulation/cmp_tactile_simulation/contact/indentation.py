@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
-from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.errors import ContactError, NotConvergedError
 from cmp_tactile_simulation.contact import solver
@@ -220,8 +219,7 @@ class ContactSimulation:
             self.indenter.reach,
             float(np.linalg.norm(nodes - begin.position, axis=1).max()),
         )
-        turn = Rotation.from_matrix(end.rotation @ begin.rotation.T).magnitude()
-        return float(np.linalg.norm(end.position - begin.position) + turn * arm)
+        return float(np.linalg.norm(end.position - begin.position)) + begin.turn_to(end) * arm
 
     def _unsolved(self, pose: Pose, error: NotConvergedError) -> ContactError:
         if isinstance(error.__cause__, ContactError):

@@ -13,6 +13,7 @@ that lie h apart.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -52,9 +53,17 @@ class Pose:
 
     def towards(self, goal: Pose, share: float) -> Pose:
         """The pose at a share 0..1 of the way: straight line, constant rate of turning."""
+        if share == 1:
+            return goal
         turn = Rotation.from_matrix(self.rotation.T @ goal.rotation).as_rotvec()
         rotation = self.rotation @ Rotation.from_rotvec(share * turn).as_matrix()
         return Pose(self.position + share * (goal.position - self.position), rotation)
+
+    def turn_to(self, goal: Pose) -> float:
+        """The angle between two poses, rad."""
+        between = goal.rotation @ self.rotation.T
+        sine = np.linalg.norm((between - between.T)[[2, 0, 1], [1, 2, 0]])
+        return math.atan2(sine, between.trace() - 1)
 
 
 @dataclass(frozen=True)

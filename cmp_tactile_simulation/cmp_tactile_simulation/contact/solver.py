@@ -308,8 +308,9 @@ def _rigid(view: laws.View) -> Array:
     rigid = np.zeros((len(view.place), 3, 6))
     rigid[:, [0, 1, 2], [0, 1, 2]] = 1.0
     arm = view.place - view.pose.position
-    for axis in range(3):
-        rigid[:, :, 3 + axis] = np.cross(np.eye(3)[axis], arm)
+    # The axis times the arm.
+    rigid[:, [2, 0, 1], [3, 4, 5]] = arm[:, [1, 2, 0]]
+    rigid[:, [1, 2, 0], [3, 4, 5]] = -arm[:, [2, 0, 1]]
     return rigid
 
 
@@ -387,8 +388,8 @@ def _residual(problem: laws.Problem, view: laws.View, flips: Flips) -> float:
 
 def way_between(begin: Pose, end: Pose) -> float:
     """How far a motion takes the points of a contact about, m."""
-    turn = Rotation.from_matrix(end.rotation @ begin.rotation.T).magnitude()
-    return float(np.linalg.norm(end.position - begin.position) + CONTACT_ARM * turn)
+    way = float(np.linalg.norm(end.position - begin.position))
+    return way + CONTACT_ARM * begin.turn_to(end)
 
 
 def _polished(problem: laws.Problem, rest: Array, view: laws.View) -> laws.View:

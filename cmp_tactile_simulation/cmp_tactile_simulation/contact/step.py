@@ -61,14 +61,14 @@ class ContactStep:
         place = self._rest + displacement
         return self.indenter.distance(pose.to_indenter(place))[0]
 
-    def _bulge(self, pose: Pose, displacement: Array, nodes: Index | slice = slice(None)) -> Array:
-        """By how much the mean gap over a node's hat is more than `gap`, (k,) m of some nodes.
+    def _bulge(self, pose: Pose, displacement: Array) -> Array:
+        """By how much the mean gap over a node's hat is more than `gap`, (N,) m.
 
         A step takes it from the state that it begins with, because it jumps where an edge's
         rounding begins.
         """
-        place, spacing = (self._rest + displacement)[nodes], self.elastomer.nodes.spacing
-        return bulge(self.indenter, pose, place, spacing) + self._sag[nodes]
+        place, spacing = self._rest + displacement, self.elastomer.nodes.spacing
+        return bulge(self.indenter, pose, place, spacing) + self._sag
 
     def free(self, pose: Pose) -> ContactState:
         """The gel without forces, the indenter elsewhere; whether nodes are free is not looked at.
@@ -106,7 +106,8 @@ class ContactStep:
         if len(nodes) == 0:
             return np.zeros((6, 6))
         with one_thread():
-            problem = self._problem(state, nodes)
+            # How far away the indenter is does not matter.
+            problem = self._problem(state, nodes, np.zeros(len(self._rest)))
             offset = state.displacement[nodes] - problem.moved(state.force[nodes])
             guess = solver.Guess(state.force[nodes], state.pose, state.slipping[nodes])
             return solver.stiffness(problem, offset, guess)
@@ -122,7 +123,7 @@ class ContactStep:
         near = nearest < NEAR_STEPS * solver.LONGEST_STEP
         nodes = np.flatnonzero(near | state.contact)
         while True:
-            reached = self._solved(state, pose, load, nodes)
+            reached = self._solved(state, pose, load, nodes, beyond_node)
             reached = replace(reached, gap=reached.gap + beyond_node)
             lost = np.flatnonzero(reached.gap < -self._accepted)
             lost = np.setdiff1d(lost, nodes)
@@ -134,10 +135,10 @@ class ContactStep:
         return reached
 
     def _solved(
-        self, state: ContactState, pose: Pose, load: Array | None, nodes: Index
+        self, state: ContactState, pose: Pose, load: Array | None, nodes: Index, beyond_node: Array
     ) -> ContactState:
         """Solve for some nodes until the gel's true displacement is what the solver thinks."""
-        problem = self._problem(state, nodes)
+        problem = self._problem(state, nodes, beyond_node)
         offset = state.displacement[nodes] - problem.moved(state.force[nodes])
         guess = solver.Guess(state.force[nodes], pose, state.slipping[nodes])
         defect = before = np.inf
@@ -152,7 +153,7 @@ class ContactStep:
                 return self._state(solution, nodes, force, displacement)
             if defect > GOOD_CORRECTION * before:
                 self._hold(nodes, state)
-                problem = self._problem(state, nodes)
+                problem = self._problem(state, nodes, beyond_node)
                 offset = displacement[nodes] - problem.moved(solution.force)
             else:
                 offset = offset + missed
@@ -160,7 +161,7 @@ class ContactStep:
             guess = solver.Guess(solution.force, solution.pose, solution.sliding)
         raise NotConvergedError(residual=defect)
 
-    def _problem(self, state: ContactState, nodes: Index) -> Problem:
+    def _problem(self, state: ContactState, nodes: Index, beyond_node: Array) -> Problem:
         if not np.isin(nodes, self._held, assume_unique=True).all():
             self._hold(nodes, state)
         rest = self._rest[nodes]
@@ -171,7 +172,7 @@ class ContactStep:
             before=rest + state.displacement[nodes],
             before_pose=state.pose,
             touched=state.contact[nodes],
-            bulge=self._bulge(state.pose, state.displacement, nodes),
+            bulge=beyond_node[nodes],
             indenter=self.indenter,
             friction=self.friction,
         )

@@ -11,7 +11,6 @@ from cmp_tactile_processing.ros.messages.making import MessageMaker
 from cmp_tactile_simulation.grasp.scene import GraspScene
 
 OBJECT_FRAME = "object"
-MARKER_TOPIC = "/object/marker"
 # Red, green, blue.
 OBJECT_COLOUR = (90, 170, 120)
 

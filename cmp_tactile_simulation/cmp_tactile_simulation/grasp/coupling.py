@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import ContactError
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.laws import ContactState, Pose
+from cmp_tactile_simulation.contact.laws import ContactState, Pose, crossed
 
 Array = NDArray[np.float64]
 
@@ -27,7 +26,9 @@ Array = NDArray[np.float64]
 DAMPING_S = 5e-4
 # The gel is solved again where its tangent changes the force by more than this share of the normal
 # force, and by more than so much, N: it knows no end of sticking, and no more nodes that touch.
-LARGEST_CHANGE, LEAST_CHANGE_N = 0.02, 0.01
+LARGEST_CHANGE, LEAST_CHANGE_N = 0.04, 0.02
+# It is solved after this way, m, also where a sliding object changes no force.
+LONGEST_WAY_M = 5e-4
 # A gel that is touched follows no faster: a world that moves farther at once has no solution, m.
 FARTHEST_M = 2e-3
 # How far a contact reaches about, m, to compare moments with forces.
@@ -40,22 +41,16 @@ class FingerTouch:
 
     wrench (6,): force N on the gel and moment N m about the object's origin, gel frame.
     stiffness (6, 6): its change by motions of the object, m and rad.
-    middle (3,) m: of the contact, gel frame.
+    middle (3,) m: of the contact, gel frame.  touches: whether the object touches the gel;
+    clearance: m, how far it is away where it does not.
     """
 
     state: ContactState
     wrench: Array
     stiffness: Array
     middle: Array
-
-    @cached_property
-    def touches(self) -> bool:
-        """Whether the object touches the gel."""
-        return bool(self.state.contact.any())
-
-    @cached_property
-    def _clearance(self) -> float:
-        return float(self.state.gap.min())
+    touches: bool
+    clearance: float
 
     def ahead(self, pose: Pose, velocity: Array) -> Array:
         """The wrench (6,) on the gel with the object a little farther on, about its origin there.
@@ -64,28 +59,19 @@ class FingerTouch:
         """
         if not self.touches:
             return np.zeros(6)
-        moved = self._moved(pose) + DAMPING_S * velocity
-        wrench = self.wrench + self.stiffness @ moved
-        # The gel does not pull.
-        return np.asarray(wrench if wrench[2] < 0 else np.zeros(6))
+        before = self.state.pose
+        tangent = self.wrench, self.stiffness, before.position, before.rotation
+        return np.asarray(_ahead(tangent, pose.position, pose.rotation, velocity))
 
     def holds_at(self, pose: Pose) -> bool:
         """Whether the tangent, or that nothing touches, still holds with the object there."""
-        moved, begin = self._moved(pose), self.state.pose.position
-        way, turn = math.sqrt(moved[:3] @ moved[:3]), math.sqrt(moved[3:] @ moved[3:])
-        if not self.touches:
-            reach = float(np.linalg.norm(self.middle - begin))
-            return bool(way + reach * turn < self._clearance)
-        change = self.stiffness @ moved
-        force = change[:3]
-        moment = shifted(change[3:], begin - self.middle, force)
-        size = math.sqrt(force @ force) + math.sqrt(moment @ moment) / ARM_M
-        return bool(size < max(LEAST_CHANGE_N, -LARGEST_CHANGE * self.wrench[2]))
-
-    def _moved(self, pose: Pose) -> Array:
-        """How the object has moved since, (6,) m and rad."""
-        begin = self.state.pose
-        return motion_between(begin.position, begin.rotation, pose.position, pose.rotation)
+        before = self.state.pose
+        tangent = self.wrench, self.stiffness, before.position, before.rotation
+        if self.touches:
+            return bool(_is_near(tangent, self.middle, pose.position, pose.rotation))
+        reach = math.dist(self.middle, before.position)
+        moved = motion_between(before.position, before.rotation, pose.position, pose.rotation)
+        return math.hypot(*moved[:3]) + reach * math.hypot(*moved[3:]) < self.clearance
 
 
 class FingerContact:
@@ -116,11 +102,16 @@ class FingerContact:
 
     def _solved(self, state: ContactState) -> FingerTouch:
         place = self.contact.elastomer.node_position + state.displacement
-        moment = np.cross(place - state.pose.position, state.force).sum(axis=0)
+        moment = crossed(place - state.pose.position, state.force).sum(axis=0)
         size = np.linalg.norm(state.force, axis=1)
-        middle = size @ place / size.sum() if size.any() else place.mean(axis=0)
-        wrench = np.concatenate([state.resultant, moment])
-        return FingerTouch(state, wrench, self.contact.stiffness(state), middle)
+        return FingerTouch(
+            state=state,
+            wrench=np.concatenate([state.resultant, moment]),
+            stiffness=self.contact.stiffness(state),
+            middle=size @ place / size.sum() if size.any() else place.mean(axis=0),
+            touches=bool(state.contact.any()),
+            clearance=float(state.gap.min()),
+        )
 
 
 # A time step calls these for each finger; NumPy's own would take longer than the gels.
@@ -131,10 +122,17 @@ def _cross(a: Array, b: Array) -> Array:
     )
 
 
+@kernel_part
+def _size(vector: Array) -> float:
+    return math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+
+
 @kernel
-def shifted(moment: Array, arm: Array, force: Array) -> Array:
-    """The moment (3,) about a point that the force's own point is `arm` away from."""
-    return moment + _cross(arm, force)
+def shifted(wrench: Array, arm: Array) -> Array:
+    """A wrench (6,) about a point that its own point is `arm` (3,) m away from."""
+    found = np.empty(6)
+    found[:3], found[3:] = wrench[:3], wrench[3:] + _cross(arm, wrench[:3])
+    return found
 
 
 @kernel
@@ -148,12 +146,37 @@ def motion_between(from_place: Array, from_turn: Array, place: Array, turn: Arra
             between[1, 0] - between[0, 1],
         ]
     )
-    sine = 0.5 * math.sqrt(doubled @ doubled)
+    sine = 0.5 * _size(doubled)
     cosine = 0.5 * (between[0, 0] + between[1, 1] + between[2, 2] - 1.0)
     factor = math.atan2(sine, cosine) / sine if sine > 1e-9 else 1.0
     moved = np.empty(6)
     moved[:3], moved[3:] = place - from_place, 0.5 * factor * doubled
     return moved
+
+
+@kernel
+def _ahead(
+    tangent: tuple[Array, Array, Array, Array], place: Array, turn: Array, velocity: Array
+) -> Array:
+    """See FingerTouch.ahead; tangent: its wrench, stiffness, place and rotation."""
+    wrench, stiffness, from_place, from_turn = tangent
+    moved = motion_between(from_place, from_turn, place, turn) + DAMPING_S * velocity
+    ahead = wrench + stiffness @ moved
+    # The gel does not pull.
+    return ahead if ahead[2] < 0 else np.zeros(6)
+
+
+@kernel
+def _is_near(
+    tangent: tuple[Array, Array, Array, Array], middle: Array, place: Array, turn: Array
+) -> bool:
+    """See FingerTouch.holds_at, of a gel that is touched."""
+    wrench, stiffness, from_place, from_turn = tangent
+    moved = motion_between(from_place, from_turn, place, turn)
+    way = _size(moved[:3] + _cross(moved[3:], middle - from_place))
+    change = shifted(stiffness @ moved, from_place - middle)
+    size = _size(change[:3]) + _size(change[3:]) / ARM_M
+    return way < LONGEST_WAY_M and size < max(LEAST_CHANGE_N, -LARGEST_CHANGE * wrench[2])
 
 
 @kernel
@@ -167,3 +190,20 @@ def relative_velocity(held: Array, gel: Array, arm: Array, turn: Array) -> Array
     found = np.empty(6)
     found[:3], found[3:] = turn.T @ along, turn.T @ (held[:3] - gel[:3])
     return found
+
+
+@kernel
+def seen_from(place: Array, turn: Array, there: Array, turned: Array) -> tuple[Array, Array]:
+    """A pose in the world, `there` and `turned`, as the frame at `place` and `turn` has it."""
+    return turn.T @ (there - place), turn.T @ turned
+
+
+@kernel
+def push(wrench: Array, turn: Array, arm: Array, applied: Array) -> None:
+    """Add a wrench (6,) to what is applied to a body, (6,), in the world.
+
+    turn (3, 3): of the wrench's frame.  arm: from the body's centre of mass to the wrench's point.
+    """
+    force = turn @ wrench[:3]
+    applied[:3] += force
+    applied[3:] += turn @ wrench[3:] + _cross(arm, force)

@@ -65,9 +65,8 @@ class LiveGrasp:
     """Advances a grasp in steps of time, and takes pictures of it.
 
     Its motion begins when the sensors had time to take their references: somebody took the pictures
-    of so many moments.  Frames are those of a
-    recorded grasp, with what there is time for: a linear gel, one sample of a pixel, the rays of
-    2 x 2 pixels found together.
+    of so many moments.  Frames are those of a recorded grasp, with what there is time for: a linear
+    gel, one sample of a pixel, the rays of 2 x 2 pixels found together.
 
     command: opening that a controller asks for, m; None as long as it has asked for none.
     controls: of actuators, by name, which take precedence over those of the scene.
@@ -79,17 +78,19 @@ class LiveGrasp:
         self, scene: GraspScene, settings: LiveGraspSettings, progress: OnProgress = no_progress
     ) -> None:
         """Raises what `Grasp` raises."""
-        tip = scene.fingertip
-        tip = replace(tip, elastomer=replace(tip.elastomer, model="linear"))
+        tips = {
+            side: replace(tip, elastomer=replace(tip.elastomer, model="linear"))
+            for side, tip in scene.described.items()
+        }
         nodes = min(scene.contact_nodes, settings.contact_nodes)
-        self._scene = replace(scene, fingertip=tip, contact_nodes=nodes)
+        self._scene = replace(scene, described=tips, contact_nodes=nodes)
         self._settings = settings
         self._grasp = Grasp(self._scene, progress=progress)
         self._cameras = {
             side: SensorCamera(
                 tip, Look(camera=scene.camera, samples=1, seed=number), with_half_the_pixels(tip)
             )
-            for number, side in enumerate(SIDES)
+            for number, (side, tip) in enumerate(tips.items())
         }
         self._gripping = next((item for item in scene.motion if (item.grip or 0) > 0), None)
         self._step_s = float(self._grasp.world.model.opt.timestep)

@@ -19,6 +19,7 @@ from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.grasp.body import OBJECT_COLOUR, object_mesh
 from cmp_tactile_simulation.grasp.play import GraspFrame
 from cmp_tactile_simulation.grasp.scene import SIDES, GraspScene
+from cmp_tactile_simulation.rendering.sight import rasterize_triangles
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -36,8 +37,8 @@ HOUSING_M = 0.03
 # The eye relative to what it looks at, m, and the focal length in px.
 EYE, FOCAL_PX = np.array([0.26, -0.16, 0.13]), 1500.0
 LIGHT = np.array([0.5, -0.4, 0.8]) / np.linalg.norm([0.5, -0.4, 0.8])
-# Longest side of the triangles that are drawn, m.
-LARGEST_M = 0.008
+# Bodies are drawn with so many pixels for one, either way.
+FINER = 2
 # Of the force arrows and of the plot's least range.
 M_PER_N, LEAST_N = 0.012, 1.0
 
@@ -51,16 +52,14 @@ class GraspPainter:
     _forces: dict[str, list[float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        size = self.scene.fingertip.elastomer.size
-        gel = trimesh.creation.box(size)
-        gel.apply_translation([0, 0, -size[2] / 2])
-        housing = trimesh.creation.box([size[0] * 1.1, size[1] * 1.1, HOUSING_M])
-        housing.apply_translation([0, 0, -size[2] - HOUSING_M / 2])
-        # Small enough to be drawn in the right order.
-        self._gel, self._housing, self._object = (
-            np.asarray(part.subdivide_to_size(LARGEST_M).triangles, np.float64)
-            for part in (gel, housing, object_mesh(self.scene))
-        )
+        self._object = np.asarray(object_mesh(self.scene).triangles, np.float64)
+        self._parts = [
+            (side, part, colour)
+            for side, sensor in self.scene.described.items()
+            for part, colour in zip(
+                _fingertip(sensor.elastomer.size), (GELS[side], HOUSING), strict=True
+            )
+        ]
 
     def draw(self, frame: GraspFrame, measured: Mapping[str, Array]) -> Image:
         """The picture (720, 1280, 3) BGR.  measured (6,): wrenches by side, NaN where unknown."""
@@ -96,8 +95,7 @@ class GraspPainter:
                 cv2.line(picture, a.tolist(), b.tolist(), FAINT, 1, cv2.LINE_AA)
         parts: list[tuple[Array, Colour]] = [
             (frame.held.to_gel(self._object), OBJECT_COLOUR[::-1]),
-            *((frame.fingertips[side].to_gel(self._gel), GELS[side]) for side in SIDES),
-            *((frame.fingertips[side].to_gel(self._housing), HOUSING) for side in SIDES),
+            *((frame.fingertips[side].to_gel(part), colour) for side, part, colour in self._parts),
         ]
         _paint(picture, view, parts)
         for side in SIDES:
@@ -115,7 +113,7 @@ class GraspPainter:
         """Forces over time: truth as lines, what was measured as dots."""
         height, width = area.shape[:2]
         box = (56, 24, width - 20, height - 40)
-        most = max(LEAST_N, *(np.nanmax(item) for item in self._forces.values()))
+        most = 1.05 * max(LEAST_N, *(np.nanmax(item) for item in self._forces.values()))
         end = self.scene.duration
 
         def place(seconds: float, newtons: float) -> tuple[int, int]:
@@ -139,6 +137,15 @@ class GraspPainter:
                 for seconds, newtons in found:
                     if np.isfinite(newtons):
                         cv2.circle(area, place(seconds, newtons), 2, GELS[side], -1, cv2.LINE_AA)
+
+
+def _fingertip(size: tuple[float, float, float]) -> tuple[Array, Array]:
+    """Triangles of a gel of this size, m, and of the housing behind it."""
+    gel = trimesh.creation.box(size)
+    gel.apply_translation([0, 0, -size[2] / 2])
+    housing = trimesh.creation.box([size[0] * 1.1, size[1] * 1.1, HOUSING_M])
+    housing.apply_translation([0, 0, -size[2] - HOUSING_M / 2])
+    return np.asarray(gel.triangles), np.asarray(housing.triangles)
 
 
 class VideoWriter:
@@ -182,17 +189,20 @@ class _View:
 
 
 def _paint(picture: Image, view: _View, parts: list[tuple[Array, Colour]]) -> None:
-    """Triangles (n, 3, 3) of several parts, the farthest first."""
+    """Draw triangles (n, 3, 3) of several parts."""
     corners = np.concatenate([part for part, _ in parts])
     colours = np.concatenate([np.tile(colour, (len(part), 1)) for part, colour in parts])
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
     shades = 0.55 + 0.45 * np.clip(normals @ LIGHT, 0, 1)
     pixels, depths = view.pixels(corners)
-    for n in np.argsort(-depths.mean(axis=1)):
-        corner = (pixels[n] * 16).round().astype(np.int32)
-        colour = (shades[n] * colours[n]).astype(int).tolist()
-        cv2.fillConvexPoly(picture, corner, colour, cv2.LINE_AA, shift=4)
+    drawn = cv2.resize(picture, None, fx=FINER, fy=FINER, interpolation=cv2.INTER_NEAREST)
+    found = np.empty(drawn.shape)
+    rasterize_triangles(np.concatenate([FINER * pixels, 1 / depths[..., None]], axis=2), found)
+    covered = np.isfinite(found[..., 0])
+    numbers = found[covered, 0].round().astype(int)
+    drawn[covered] = (shades[:, None] * colours)[numbers]
+    picture[:] = cv2.resize(drawn, picture.shape[1::-1], interpolation=cv2.INTER_AREA)
 
 
 def _tick(most: float) -> float:

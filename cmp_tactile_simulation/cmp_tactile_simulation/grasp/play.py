@@ -116,7 +116,7 @@ class Grasp:
         self._pictures = pictures
         self.fingers = {
             side: Simulator(
-                scene.fingertip,
+                scene.described[side],
                 _body(scene, self.world.pose(number)),
                 friction=scene.object.friction,
                 look=Look(camera=scene.camera, samples=scene.samples),

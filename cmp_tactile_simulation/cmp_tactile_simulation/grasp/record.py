@@ -22,7 +22,7 @@ from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_definition
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
-from cmp_tactile_simulation.grasp.body import MARKER_TOPIC, OBJECT_FRAME, object_marker
+from cmp_tactile_simulation.grasp.body import OBJECT_FRAME, object_marker
 from cmp_tactile_simulation.grasp.picture import GraspPainter, VideoWriter
 from cmp_tactile_simulation.grasp.play import Grasp, GraspFrame
 from cmp_tactile_simulation.grasp.scene import SIDES
@@ -107,8 +107,8 @@ def _record(grasp: Grasp, folder: Path, on_share: Callable[[float], None]) -> Gr
             on_share(min(1.0, frames / count))
         if not frames:
             raise ContactError(*ended)
-    content = read_yaml(scene.sensor_file).content
     for side in SIDES:
+        content = read_yaml(scene.files[side]).content
         text = dump_yaml({**content, "name": side})
         (folder / f"{side}.yaml").write_text(text, encoding="utf-8")
     shutil.copyfile(scene.file, folder / "scene.yaml")
@@ -131,7 +131,7 @@ class _GraspBag:
 
     def __init__(self, writer: BagWriter, grasp: Grasp) -> None:
         self._writer, self._make = writer, bag_messages()
-        sensors = {side: replace(grasp.scene.fingertip, name=side) for side in SIDES}
+        sensors = {side: replace(grasp.scene.described[side], name=side) for side in SIDES}
         self._frames = {side: FrameWriter(writer, sensor) for side, sensor in sensors.items()}
         self._chains = {side: Pipeline(sensor) for side, sensor in sensors.items()}
         self._gels = {side: making.gel_frame(sensor) for side, sensor in sensors.items()}
@@ -142,9 +142,9 @@ class _GraspBag:
         self._topics = topics
         for topic, kind in topics.items():
             add_simulated_topic(writer, topic, kind)
-        self._topics[MARKER_TOPIC] = making.MARKER
+        self._topics[making.MARKER_TOPIC] = making.MARKER
         definition = simulation_definition(making.MARKER)
-        writer.add_topic(MARKER_TOPIC, making.MARKER, [LATCHED], definition)
+        writer.add_topic(making.MARKER_TOPIC, making.MARKER, [LATCHED], definition)
         self._marker = object_marker(self._make, grasp.scene)
 
     def append(self, frame: GraspFrame) -> dict[str, ForceField]:
@@ -168,7 +168,7 @@ class _GraspBag:
     def _write_world(self, frame: GraspFrame) -> None:
         make, header = self._make, self._make.header(frame.stamp_ns, WORLD_FRAME)
         if frame.index == 0:
-            self._write(MARKER_TOPIC, frame, self._marker)
+            self._write(making.MARKER_TOPIC, frame, self._marker)
         self._write(OBJECT_TOPIC, frame, pose_message(make, frame.held, header))
         poses = {OBJECT_FRAME: frame.held}
         poses |= {self._gels[side]: frame.fingertips[side] for side in SIDES}

@@ -42,6 +42,7 @@ FORMAT_VERSION = 1
 MAX_PHASE_S, MAX_MASS_KG, MAX_FORCE_N, MAX_TORQUE_NM = 60.0, 5.0, 50.0, 2.0
 # What MuJoCo and the gel both have a shape of.
 SHAPES = ("cuboid", "sphere", "cylinder", "mesh")
+Side = Literal["left", "right"]
 SIDES = ("left", "right")
 
 Force = tuple[
@@ -111,7 +112,8 @@ class GraspPhase(Part):
 class GraspKeys(Part):
     """The keys of a grasp that its file holds as they are.
 
-    sensor: description of both fingertips.  mass kg and position m: of the object on the table.
+    sensor: description of both fingertips; sensors: of a side that has another one.
+    mass kg and position m: of the object on the table.
     rate: of frames, Hz.  contact_nodes, samples: as of a scene.  camera: of both.
     model: MJCF of another gripper, with the sites `left` and `right` (gel frames: z outwards), or
     where fingertips has them; its actuators are set by `controls`.  keyframe: of it, to begin at.
@@ -120,11 +122,12 @@ class GraspKeys(Part):
     name: Name
     title: str = field(default="", metadata=text())
     sensor: str = field(default=DEFAULT_SENSOR, metadata=text())
+    sensors: Mapping[Side, str] = field(default_factory=dict)
     mass: float = field(default=0.1, metadata=positive(MAX_MASS_KG, "kg"))
     position: Vector = (0.0, 0.0, 0.03)
     gripper: Gripper = field(default_factory=Gripper)
     model: str | None = field(default=None, metadata=text())
-    fingertips: Mapping[Literal["left", "right"], Fingertip] = field(default_factory=dict)
+    fingertips: Mapping[Side, Fingertip] = field(default_factory=dict)
     keyframe: str | None = field(default=None, metadata=text())
     rate: float = field(default=10.0, metadata=number(1.0, 200.0, "Hz"))
     contact_nodes: int = field(default=20, metadata=number(*NODES_RANGE))
@@ -146,11 +149,11 @@ class GraspKeys(Part):
 class GraspScene(GraspKeys):
     """All that a grasp depends on.
 
-    fingertip: the sensor of both, which sensor_file describes.
+    described: the sensors of the fingertips by side, and files: their descriptions.
     """
 
-    fingertip: SensorDescription
-    sensor_file: Path
+    described: Mapping[str, SensorDescription]
+    files: Mapping[str, Path]
     object: IndenterDescription
     file: Path
 
@@ -181,14 +184,22 @@ def _read(top: YamlFile, path: Path) -> GraspScene:
     kind = shape.content.get("type")
     if kind not in SHAPES:
         raise shape.error("type", kind, f"one of {', '.join(SHAPES)}")
-    beside = path.parent / found.sensor
-    try:
-        source = beside if beside.is_file() else find_sensor_description(found.sensor)
-        fingertip = load_sensor(str(source))
-    except InputError as error:
-        raise top.error("sensor", found.sensor, f"a sensor description ({error})") from None
+    files = {side: _sensor_file(top, path, found, side) for side in SIDES}
     values: dict[str, Any] = {item.name: getattr(found, item.name) for item in fields(GraspKeys)}
     if found.model is not None and not (path.parent / found.model).is_file():
         raise top.error("model", found.model, "an MJCF file")
     held = read_indenter(shape, path.parent, Start((0.0, 0.0, 0.0)))
-    return GraspScene(**values, fingertip=fingertip, sensor_file=source, object=held, file=path)
+    described = {side: load_sensor(str(file)) for side, file in files.items()}
+    return GraspScene(**values, described=described, files=files, object=held, file=path)
+
+
+def _sensor_file(top: YamlFile, path: Path, found: GraspKeys, side: str) -> Path:
+    own = [name for key, name in found.sensors.items() if key == side]
+    key, name = (f"sensors.{side}", own[0]) if own else ("sensor", found.sensor)
+    beside = path.parent / name
+    try:
+        source = beside if beside.is_file() else find_sensor_description(name)
+        load_sensor(str(source))
+    except InputError as error:
+        raise top.error(key, name, f"a sensor description ({error})") from None
+    return source

@@ -17,7 +17,9 @@ from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.grasp.coupling import (
     FingerContact,
     FingerTouch,
+    push,
     relative_velocity,
+    seen_from,
     shifted,
 )
 from cmp_tactile_simulation.grasp.scene import SIDES, GraspScene
@@ -131,7 +133,14 @@ class World:
         self._sites = [self._number("site", name) for name in sites]
         self._held = self._number("body", held)
         self._fingers = [int(self.model.site_bodyid[site]) for site in self._sites]
+        self._actuators = {self.model.actuator(n).name: n for n in range(self.model.nu)}
         self._limits = self.model.actuator_forcerange.copy()
+        data = self.data
+        # Views of what a step changes: place and rotation of each gel, and of the object.
+        self._frames = [(data.site_xpos[n], data.site_xmat[n].reshape(3, 3)) for n in self._sites]
+        self._at = data.xpos[self._held], data.xmat[self._held].reshape(3, 3)
+        self._applied, self._centres = data.xfrc_applied, data.xipos
+        self._speeds = np.zeros(6), np.zeros(6)
         self._masses = self.model.body_mass.copy(), self.model.body_inertia.copy()
         self._gels: list[FingerContact] = []
         self.reset()
@@ -157,7 +166,7 @@ class World:
 
     def control(self, name: str) -> float:
         """What the actuator of a name is set to, 0 for the grip of both fingers."""
-        return 0.0 if name == GRIP else float(self.data.ctrl[self._number("actuator", name)])
+        return 0.0 if name == GRIP else float(self.data.ctrl[self._actuator(name)])
 
     def hold(self, contacts: Sequence[ContactSimulation]) -> None:
         """Let these gels act between the fingertips and the object from now on.
@@ -180,23 +189,18 @@ class World:
 
     def pose(self, finger: int) -> Pose:
         """T_gel_object of a finger's gel."""
-        place, turn = self._frame(finger)
-        data = self.data
-        at = turn.T @ (data.xpos[self._held] - place)
-        return Pose(at, turn.T @ data.xmat[self._held].reshape(3, 3))
+        return Pose(*seen_from(*self._frames[finger], *self._at))
 
     def world_pose(self, name: str) -> Pose:
         """Of a site, or of the body that is held where there is no such site."""
-        data = self.data
-        if name in self._names:
-            place, turn = self._frame(self._names.index(name))
-            return Pose(place.copy(), turn.copy())
-        return Pose(data.xpos[self._held].copy(), data.xmat[self._held].reshape(3, 3).copy())
+        known = name in self._names
+        place, turn = self._frames[self._names.index(name)] if known else self._at
+        return Pose(place.copy(), turn.copy())
 
     @property
     def opening(self) -> float:
         """From the first gel to the second, along the first one's normal, m."""
-        (here, turn), (there, _) = (self._frame(finger) for finger in range(2))
+        (here, turn), (there, _) = self._frames
         return float((there - here) @ turn[:, 2])
 
     def gel(self, finger: int) -> FingerContact:
@@ -211,8 +215,7 @@ class World:
         """On the gel now, (6,) N and N m about the gel frame's origin, gel frame."""
         pose = self.pose(finger)
         wrench = self._gels[finger].touch.ahead(pose, self._velocity(finger))
-        wrench[3:] = shifted(wrench[3:], pose.position, wrench[:3])
-        return wrench
+        return np.asarray(shifted(wrench, pose.position))
 
     def step(self, controls: Mapping[str, float], force: Array, mass: float) -> None:
         """One time step.
@@ -227,22 +230,23 @@ class World:
         data, model = self.data, self.model
         for name, value in controls.items():
             if name == GRIP:
-                self._grip(value)
+                self._drive(math.copysign(self._speed, value), abs(value))
             elif name == OPENING:
-                self._open(value)
+                self._drive((self.opening - value) / 2 / OPENING_S)
             else:
-                data.ctrl[self._number("actuator", name)] = value
+                data.ctrl[self._actuator(name)] = value
         if mass != model.body_mass[self._held]:
             model.body_inertia[self._held] *= mass / model.body_mass[self._held]
             model.body_mass[self._held] = mass
-        data.xfrc_applied[:] = 0.0
-        data.xfrc_applied[self._held] = force
+        self._applied[:] = 0.0
+        self._applied[self._held] = force
         for finger, gel in enumerate(self._gels):
+            if not gel.touch.touches:
+                continue
             wrench = gel.touch.ahead(self._poses[finger], self._velocity(finger))
-            _, turn = self._frame(finger)
-            on_gel, moment = turn @ wrench[:3], turn @ wrench[3:]
-            self._push(self._fingers[finger], on_gel, moment)
-            self._push(self._held, -on_gel, -moment)
+            _, turn = self._frames[finger]
+            for body, acting in ((self._fingers[finger], wrench), (self._held, -wrench)):
+                push(acting, turn, self._at[0] - self._centres[body], self._applied[body])
         self._mujoco.mj_step(model, data)
         if self._warnings:
             msg = f"MuJoCo: {self._warnings[0].strip()}"
@@ -264,39 +268,26 @@ class World:
                 with one_thread():
                     gel.move(pose)
 
-    def _grip(self, force: float) -> None:
-        """Drive the fingers at their speed, together or apart, with at most this force, N."""
-        for side in SIDES:
-            number = self._number("actuator", f"{GRIP}_{side}")
-            self.model.actuator_forcerange[number] = -abs(force), abs(force)
-            self.data.ctrl[number] = math.copysign(self._speed, force)
+    def _drive(self, speed: float, force: float | None = None) -> None:
+        """Move the fingers together at this speed, m/s, their own at most, or apart.
 
-    def _open(self, opening: float) -> None:
-        """Drive the fingers towards this opening, at their speed and force at most."""
-        speed = (self.opening - opening) / 2 / OPENING_S
+        force: at most, N; None: what they have.
+        """
         for side in SIDES:
-            number = self._number("actuator", f"{GRIP}_{side}")
-            self.model.actuator_forcerange[number] = self._limits[number]
+            number = self._actuator(f"{GRIP}_{side}")
+            most = self._limits[number] if force is None else (-force, force)
+            self.model.actuator_forcerange[number] = most
             self.data.ctrl[number] = max(-self._speed, min(speed, self._speed))
 
-    def _push(self, body: int, force: Array, moment: Array) -> None:
-        """Add a force and a moment about the object's origin, world frame."""
-        data = self.data
-        arm = data.xpos[self._held] - data.xipos[body]
-        data.xfrc_applied[body, :3] += force
-        data.xfrc_applied[body, 3:] += shifted(moment, arm, force)
-
-    def _frame(self, finger: int) -> tuple[Array, Array]:
-        """Place (3,) m and rotation (3, 3) of a gel in the world."""
-        site = self._sites[finger]
-        return self.data.site_xpos[site], self.data.site_xmat[site].reshape(3, 3)
+    def _actuator(self, name: str) -> int:
+        found = self._actuators.get(name)
+        return self._number("actuator", name) if found is None else found
 
     def _velocity(self, finger: int) -> Array:
         """Of the object's origin relative to the gel, (6,) m/s and rad/s, gel frame."""
-        held, gel = np.zeros(6), np.zeros(6)
-        kinds = self._mujoco.mjtObj
+        (held, gel), kinds = self._speeds, self._mujoco.mjtObj
         find = self._mujoco.mj_objectVelocity
         find(self.model, self.data, kinds.mjOBJ_XBODY, self._held, held, 0)
         find(self.model, self.data, kinds.mjOBJ_SITE, self._sites[finger], gel, 0)
-        place, turn = self._frame(finger)
-        return relative_velocity(held, gel, self.data.xpos[self._held] - place, turn)
+        place, turn = self._frames[finger]
+        return np.asarray(relative_velocity(held, gel, self._at[0] - place, turn))

@@ -49,7 +49,7 @@ Array = NDArray[np.float64]
 # Commands are taken, and clock and opening published, about so often, s of simulated time.
 CHUNK_S = 0.01
 # Simulated time that is later than this, s, is not caught up with.
-LATEST_S = 0.2
+LATEST_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class GraspSimulator(ReportingNode):
             msg = f"parameter sensor_names: found {names}, expected two names"
             raise CmpTactileError(msg)
         self._fingers = {
-            side: _Finger(self, replace(self._scene.fingertip, name=name))
+            side: _Finger(self, replace(self._scene.described[side], name=name))
             for side, name in zip(SIDES, names, strict=True)
         }
         self._transforms = TransformBroadcaster(self)

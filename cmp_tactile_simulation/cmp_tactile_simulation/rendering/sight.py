@@ -289,6 +289,18 @@ def rasterize(
             _draw((corner, opposite, along), out)
 
 
+@kernel
+def rasterize_triangles(corners: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Fill `out` (h, w, 3): number of the nearest triangle, 0, and 1 / depth; or NaN.
+
+    corners (n, 3, 3): place in `out`, right and down, and 1 / depth.
+    """
+    out[:] = np.nan
+    for n in range(len(corners)):
+        a, b, c = corners[n]
+        _draw(((a, float(n), 0.0), (b, float(n), 0.0), (c, float(n), 0.0)), out)
+
+
 @kernel_part(forceinline=True)
 def _area(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> Any:
     """Twice the area of a triangle, negative where it is turned round."""

@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.bags.storage import BagStorage
@@ -108,6 +109,46 @@ def test_object_turns_about_the_grip_where_coulomb_says(box: GraspScene) -> None
     applied = torque * share**2 * (3 - 2 * share)
     # A step of the torque is up to 1.6 % of it.
     assert applied == pytest.approx(largest, rel=0.03)
+
+
+def test_fingers_that_slide_along_the_object_are_followed(box: GraspScene) -> None:
+    """A hand that goes on down over a box on the table: friction of mu N all the way, within 1 %.
+
+    All of both contacts slides, so that no force changes on the way.
+    """
+    lower = GraspPhase(name="lower", duration=1.0, lift=-0.016)
+    frames = list(played(box, [CLOSE, lower], rate=5.0).frames())[4:]
+    begin, end = (frame.fingertips["left"].position[2] for frame in (frames[0], frames[-1]))
+    assert begin - end > 0.004
+    for frame in frames:
+        for side in SIDES:
+            x, y, z, *_ = frame.wrenches[side]
+            assert math.hypot(x, y) == pytest.approx(-box.object.friction * z, rel=0.01)
+
+
+def test_fingers_can_have_other_sensors(box: GraspScene, tmp_path: Path) -> None:
+    """A gel twice as stiff is pressed in as far as the other by half the force."""
+    content = yaml.safe_load(box.files["left"].read_text(encoding="utf-8"))
+    gel = content["elastomer"]
+    gel["young"] *= 2
+    gel["shading_layer"]["young"] *= 2
+    (tmp_path / "stiff.yaml").write_text(yaml.safe_dump({**content, "name": "stiff"}))
+    path = tmp_path / "scene.yaml"
+    keys = yaml.safe_load(box.file.read_text(encoding="utf-8"))
+    path.write_text(yaml.safe_dump({**keys, "sensors": {"right": "stiff.yaml"}}))
+    mixed = replace(load_grasp(str(path)), contact_nodes=16)
+    assert [sensor.name for sensor in mixed.described.values()] == ["sample_rig", "stiff"]
+
+    def pressed(grip: float, side: str) -> float:
+        grasp = played(mixed, [replace(CLOSE, grip=grip), HOLD])
+        *_, last = grasp.frames()
+        assert -last.wrenches[side][2] == pytest.approx(grip, rel=0.01)
+        return float(grasp.world.touch(SIDES.index(side)).state.displacement[:, 2].min())
+
+    assert pressed(3.0, "right") == pytest.approx(pressed(1.5, "left"), rel=0.01)
+    path.write_text(yaml.safe_dump({**keys, "sensors": {"right": "nowhere"}}))
+    with pytest.raises(InputError, match=r"sensors\.right: found 'nowhere'"):
+        load_grasp(str(path))
 
 
 def test_recorded_grasp_holds_both_sensors_with_truth(box: GraspScene, tmp_path: Path) -> None:

@@ -31,9 +31,9 @@ from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
 from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.base_nodes import latched_qos
-from cmp_tactile_processing.ros.messages.making import gel_frame
+from cmp_tactile_processing.ros.messages.making import MARKER_TOPIC, gel_frame
 from cmp_tactile_processing.ros.services import answer_of
-from cmp_tactile_viewer.moving_scene import MARKER_TOPIC, MovingScene
+from cmp_tactile_viewer.moving_scene import MovingScene
 from cmp_tactile_viewer.nodes.controls import RecordingButton, RunningSensor, node_settings
 from cmp_tactile_viewer.snapshot import (
     Action,

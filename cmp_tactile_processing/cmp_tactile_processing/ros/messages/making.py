@@ -31,6 +31,8 @@ GRASP_STATE = "cmp_tactile_msgs/msg/GraspState"
 OUR_TYPES = GRID, SURFACE, CONTACT, FORCE_FIELD, GRASP_STATE
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 MARKER = "visualization_msgs/msg/Marker"
+# Of the mesh of a held object.
+MARKER_TOPIC = "/object/marker"
 TRIANGLE_LIST = 11
 # A symmetric (3, 3) travels as its six entries xx, xy, xz, yy, yz, zz.
 UPPER_TRIANGLE = np.triu_indices(3)
