@@ -26,7 +26,9 @@ Array = NDArray[np.float64]
 DAMPING_S = 5e-4
 # The gel is solved again where its tangent changes the force by more than this share of the normal
 # force, and by more than so much, N: it knows no end of sticking, and no more nodes that touch.
-LARGEST_CHANGE, LEAST_CHANGE_N = 0.04, 0.02
+LARGEST_CHANGE, LEAST_CHANGE_N = 0.04, 0.04
+# The normal force itself, which turns no corner, may change by more.
+NORMAL_WEIGHT = 0.5
 # It is solved after this way, m, also where a sliding object changes no force.
 LONGEST_WAY_M = 5e-4
 # A gel that is touched follows no faster: a world that moves farther at once has no solution, m.
@@ -175,7 +177,8 @@ def _is_near(
     moved = motion_between(from_place, from_turn, place, turn)
     way = _size(moved[:3] + _cross(moved[3:], middle - from_place))
     change = shifted(stiffness @ moved, from_place - middle)
-    size = _size(change[:3]) + _size(change[3:]) / ARM_M
+    size = math.sqrt(change[0] ** 2 + change[1] ** 2 + (NORMAL_WEIGHT * change[2]) ** 2)
+    size += _size(change[3:]) / ARM_M
     return way < LONGEST_WAY_M and size < max(LEAST_CHANGE_N, -LARGEST_CHANGE * wrench[2])
 
 
