@@ -3,7 +3,7 @@
 
     setup/run python3 benchmarks/grasp_creep.py
 
-A capsule of 8 mm and 45 g hangs between two fingers for ten seconds; friction could carry 20 times
+A capsule of 8 mm and 45 g hangs between two fingers for ten seconds; friction could carry 19 times
 its weight. Coulomb's law holds it still.
 """
 
@@ -19,10 +19,11 @@ from cmp_tactile_simulation.grasp.play import Grasp
 from cmp_tactile_simulation.grasp.scene import GraspPhase, load_grasp
 
 RADIUS_M, MASS_KG, FRICTION, GRIP_N = 4e-3, 0.045, 0.7, 6.0
-FINGER_M = 0.011  # half of its side
+# Half of a finger's sides.
+THIN_M, WIDE_M = 0.003, 0.011
 SETTLED_S, HELD_S = 1.0, 10.0
 FINGER = """<body name="{side}" pos="{x} 0 0.1"><joint name="{side}" type="slide" axis="{axis} 0 0"
-  damping="20"/><geom type="box" size=".003 .011 .011" mass=".05"/></body>"""
+  damping="20"/><geom type="box" size="{thin} {wide} {wide}" mass=".05"/></body>"""
 MODEL = """<mujoco><option timestep="5e-4" integrator="implicitfast" {option}/>
   <default><geom friction="{friction}" condim="4"/></default><worldbody>{fingers}
   <body name="held" pos="0 0 0.1"><freejoint/><geom type="capsule" euler="90 0 0"
@@ -37,9 +38,9 @@ OPTIONS = {
 
 def in_mujoco(option: str) -> float:
     """Speed downwards, m/s."""
-    away = RADIUS_M + 0.003
+    away, size = RADIUS_M + THIN_M, {"thin": THIN_M, "wide": WIDE_M}
     sides = ("left", -away, 1), ("right", away, -1)
-    fingers = [FINGER.format(side=side, x=x, axis=axis) for side, x, axis in sides]
+    fingers = [FINGER.format(side=side, x=x, axis=axis, **size) for side, x, axis in sides]
     text = MODEL.format(
         option=option, friction=FRICTION, fingers="".join(fingers), radius=RADIUS_M, mass=MASS_KG
     )
@@ -89,7 +90,7 @@ def main() -> None:
     CommandLine(__doc__).parse_args()
     print(head("simulator", "creep, um/s"))
     for name, speed in speeds():
-        gone = speed * HELD_S > 2 * FINGER_M
+        gone = speed * HELD_S > 2 * WIDE_M
         print(line(name, "slides out" if gone else f"{1e6 * abs(speed):.3g}"))
 
 

@@ -43,6 +43,8 @@ class Grasp(GraphCommand):
         scenes = self._inputs()
         if len(scenes) > 1:
             misuse(f"found {scenes[1]!r} after the scene, expected NAME:=VALUE")
+        if self.live and self.output:
+            misuse("found --output, expected it without --live")
         if self.live or self.show_args:
             return self._start("grasp", *(f"scene:={scene}" for scene in scenes))
         if len(self.words or []) > len(scenes):
@@ -74,7 +76,8 @@ class Grasp(GraphCommand):
             f"mN, largest ({most}) mN along x, y, z"
         )
         page = write_grasp_page(folder, scene, measured)
-        print(f"{folder}: {found.frames} frames of each finger, {scene.duration:g} s\n{measured}")
+        seconds = found.frames / scene.rate
+        print(f"{folder}: {found.frames} frames of each finger, {seconds:g} s\n{measured}")
         print(f"page: {page}")
         if found.ended:
             print_findings(warnings_of(f"it ended early: {found.ended}"))

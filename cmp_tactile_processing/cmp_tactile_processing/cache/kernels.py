@@ -29,9 +29,10 @@ def kernel(**options: Any) -> Callable[[Function], Function]: ...
 def kernel(function: Any = None, **options: Any) -> Any:
     """A function that Python calls: compiled at its first call, kept in the cache, without the GIL.
 
-    options: those of `numba.njit`, such as `fastmath`.
+    options: those of `numba.njit`, such as `fastmath`; `nogil=False` for one that takes
+    microseconds, after which a busy thread would not give the GIL back for milliseconds.
     """
-    decorate = njit(cache=True, **OPTIONS, **options)
+    decorate = njit(cache=True, **{**OPTIONS, **options})
 
     def made(function: Any) -> Any:
         return _running_on_a_full_disk(decorate(function))

@@ -36,6 +36,8 @@ OTHER_UNITS = {"m": (1e-3, 1e-6), "Pa": (1e3, 1e6)}
 NOTHING = object()
 # Within the places of pydantic's errors they say which part of a union was read.
 TAGS = ("<first>", "<second>")
+# There they say that the key itself is wrong.
+WRONG_KEY = "[key]"
 KINDS = {
     "array": "a list",
     "boolean": "true or false",
@@ -268,7 +270,7 @@ class YamlFile:
     def _at(self, where: str) -> str:
         """The file, with the line of the key path or of what it is below, where that is known."""
         while where and where not in self.lines:
-            where = re.sub(r"(\.|^)[^.\[]*$|\[\d+\]$", "", where)
+            where = where[: max(where.rfind("."), where.rfind("["), 0)]
         return f"{self.path}:{self.lines[where]}" if where in self.lines else f"{self.path}"
 
     def _path_of(self, key: str) -> str:
@@ -282,7 +284,8 @@ class YamlFile:
 
     def _problem(self, item: Any, schema: Any) -> str:
         """The line of one of pydantic's errors."""
-        loc, found = tuple(key for key in item["loc"] if key not in TAGS), item["input"]
+        where = tuple(key for key in item["loc"] if key != WRONG_KEY)
+        loc, found = tuple(key for key in where if key not in TAGS), item["input"]
         cause = item.get("ctx", {}).get("error")
         if isinstance(cause, RefusedValueError):
             loc += cause.key
@@ -291,9 +294,10 @@ class YamlFile:
         elif isinstance(cause, InputError):
             # It names the key, the value, and what is expected.
             return printable(f"{self._at(self._path_of(_key_path(loc)))}: {cause}")
-        elif item["type"] == "unexpected_keyword_argument":
-            allowed = sorted(_schema_at(schema, item["loc"][:-1]).get("properties", {}))
-            hint = did_you_mean(str(loc[-1]), allowed)
+        elif item["type"] == "unexpected_keyword_argument" or WRONG_KEY in item["loc"]:
+            node = _schema_at(schema, where[:-1])
+            allowed = node.get("propertyNames", {}).get("enum") or sorted(node["properties"])
+            hint = did_you_mean(str(where[-1]), allowed)
             expected = f"no such key; allowed: {', '.join(allowed)}{hint}"
         else:
             found = NOTHING if item["type"] == "missing" else found

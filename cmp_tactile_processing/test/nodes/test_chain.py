@@ -104,7 +104,7 @@ def test_nodes_and_pipeline_give_the_same_forces(  # noqa: PLR0917  fixtures
 ):
     """Before and after a zero on a flawed print, with presses that are not linear.
 
-    Where a gridline is followed to depends on the frame before, in the eighth digit, and the two
+    Where a gridline is followed to depends on the frame before, in the seventh digit, and the two
     see the gel at rest as often only in about the same order.
     """
     gel = replace(sensor.elastomer, model="neo_hookean")
@@ -137,6 +137,6 @@ def test_nodes_and_pipeline_give_the_same_forces(  # noqa: PLR0917  fixtures
     pipeline.set_reference([flawed(stills["rest"])] * ZEROED, number * STEP_NS)
     assert all(item.flawed.known.any() for item in pipeline.print_defects.values())
     for name in ("rest", "slide", "press", "twist", "rest"):
-        compare(name, 1e-6 if follow else 1e-9)
+        compare(name, 5e-6 if follow else 1e-9)
     assert any(field.corrected for field in seen) == (len(views) == 2)
     assert seen[-1].wrench[2] == pytest.approx(0, abs=0.01)

@@ -174,6 +174,7 @@ def test_a_coded_pattern_beyond_the_view_is_the_middle_of_the_largest_sheet(cont
             r"slip\.incipient_ratio: found 0\.35, expected at most slip\.full_ratio, 0\.2",
         ),
         ("gain", 1, r"gain: found 1, expected no such key; allowed: calibration, camera"),
+        ("g[ain", 1, r"g\[ain: found 1, expected no such key"),
         ("camera.fx", 0, r"camera\.fx: found 0, expected a number above 0"),
         ("camera.fy", 0, r"camera\.fy: found 0, expected a number above 0"),
         (

@@ -59,6 +59,10 @@ class Pose:
         rotation = self.rotation @ Rotation.from_rotvec(share * turn).as_matrix()
         return Pose(self.position + share * (goal.position - self.position), rotation)
 
+    def seen_from(self, frame: Pose) -> Pose:
+        """This pose in another frame, which is given in the same frame as this pose."""
+        return Pose(frame.to_indenter(self.position), frame.rotation.T @ self.rotation)
+
     def turn_to(self, goal: Pose) -> float:
         """The angle between two poses, rad."""
         between = goal.rotation @ self.rotation.T

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +26,13 @@ Array = NDArray[np.float64]
 # 30 to 90 Hz with which held objects of 50 to 300 g swing.
 DAMPING_S = 5e-4
 # The gel is solved again where its tangent changes the force by more than this share of the normal
-# force, and by more than so much, N: it knows no end of sticking, and no more nodes that touch.
+# force, and by more than so much, N: it does not know that nodes begin to slide or to touch.
 LARGEST_CHANGE, LEAST_CHANGE_N = 0.04, 0.04
-# The normal force itself, which turns no corner, may change by more.
+# The normal force changes smoothly, and may change by more.
 NORMAL_WEIGHT = 0.5
 # It is solved after this way, m, also where a sliding object changes no force.
 LONGEST_WAY_M = 5e-4
-# A gel that is touched follows no faster: a world that moves farther at once has no solution, m.
+# A gel that is touched follows no farther at once, m: such a world has no solution.
 FARTHEST_M = 2e-3
 # How far a contact reaches about, m, to compare moments with forces.
 ARM_M = 4e-3
@@ -54,6 +55,11 @@ class FingerTouch:
     touches: bool
     clearance: float
 
+    @cached_property
+    def _tangent(self) -> tuple[Array, Array, Array, Array]:
+        pose = self.state.pose
+        return self.wrench, self.stiffness, pose.position, pose.rotation
+
     def ahead(self, pose: Pose, velocity: Array) -> Array:
         """The wrench (6,) on the gel with the object a little farther on, about its origin there.
 
@@ -61,16 +67,13 @@ class FingerTouch:
         """
         if not self.touches:
             return np.zeros(6)
-        before = self.state.pose
-        tangent = self.wrench, self.stiffness, before.position, before.rotation
-        return np.asarray(_ahead(tangent, pose.position, pose.rotation, velocity))
+        return np.asarray(_ahead(self._tangent, pose.position, pose.rotation, velocity))
 
     def holds_at(self, pose: Pose) -> bool:
         """Whether the tangent, or that nothing touches, still holds with the object there."""
-        before = self.state.pose
-        tangent = self.wrench, self.stiffness, before.position, before.rotation
         if self.touches:
-            return bool(_is_near(tangent, self.middle, pose.position, pose.rotation))
+            return bool(_is_near(self._tangent, self.middle, pose.position, pose.rotation))
+        before = self.state.pose
         reach = math.dist(self.middle, before.position)
         moved = motion_between(before.position, before.rotation, pose.position, pose.rotation)
         return math.hypot(*moved[:3]) + reach * math.hypot(*moved[3:]) < self.clearance
@@ -98,7 +101,7 @@ class FingerContact:
         way = float(np.linalg.norm(pose.position - state.pose.position))
         if self.touch.touches and not way < FARTHEST_M:
             limit = f"expected less than {1e3 * FARTHEST_M:g} mm"
-            msg = f"found a motion of {1e3 * way:.3g} mm in a time step, {limit}"
+            msg = f"found a motion of {1e3 * way:.3g} mm since it was last solved, {limit}"
             raise ContactError(msg)
         self.touch = self._solved(self.contact.move(state, pose))
 
@@ -129,7 +132,7 @@ def _size(vector: Array) -> float:
     return math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
 
 
-@kernel
+@kernel(nogil=False)
 def shifted(wrench: Array, arm: Array) -> Array:
     """A wrench (6,) about a point that its own point is `arm` (3,) m away from."""
     found = np.empty(6)
@@ -137,7 +140,7 @@ def shifted(wrench: Array, arm: Array) -> Array:
     return found
 
 
-@kernel
+@kernel(nogil=False)
 def motion_between(from_place: Array, from_turn: Array, place: Array, turn: Array) -> Array:
     """Translation and rotation vector between two poses, (6,) m and rad."""
     between = turn @ from_turn.T
@@ -156,7 +159,7 @@ def motion_between(from_place: Array, from_turn: Array, place: Array, turn: Arra
     return moved
 
 
-@kernel
+@kernel(nogil=False)
 def _ahead(
     tangent: tuple[Array, Array, Array, Array], place: Array, turn: Array, velocity: Array
 ) -> Array:
@@ -168,7 +171,7 @@ def _ahead(
     return ahead if ahead[2] < 0 else np.zeros(6)
 
 
-@kernel
+@kernel(nogil=False)
 def _is_near(
     tangent: tuple[Array, Array, Array, Array], middle: Array, place: Array, turn: Array
 ) -> bool:
@@ -182,7 +185,7 @@ def _is_near(
     return way < LONGEST_WAY_M and size < max(LEAST_CHANGE_N, -LARGEST_CHANGE * wrench[2])
 
 
-@kernel
+@kernel(nogil=False)
 def relative_velocity(held: Array, gel: Array, arm: Array, turn: Array) -> Array:
     """Of the object relative to the gel, (6,) m/s and rad/s, gel frame.
 
@@ -195,13 +198,13 @@ def relative_velocity(held: Array, gel: Array, arm: Array, turn: Array) -> Array
     return found
 
 
-@kernel
+@kernel(nogil=False)
 def seen_from(place: Array, turn: Array, there: Array, turned: Array) -> tuple[Array, Array]:
     """A pose in the world, `there` and `turned`, as the frame at `place` and `turn` has it."""
     return turn.T @ (there - place), turn.T @ turned
 
 
-@kernel
+@kernel(nogil=False)
 def push(wrench: Array, turn: Array, arm: Array, applied: Array) -> None:
     """Add a wrench (6,) to what is applied to a body, (6,), in the world.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,7 +69,8 @@ class LiveGrasp:
     gel, one sample of a pixel, the rays of 2 x 2 pixels found together.
 
     command: opening that a controller asks for, m; None as long as it has asked for none.
-    controls: of actuators, by name, which take precedence over those of the scene.
+    controls: of actuators, by name, which take precedence over those of the scene.  A restart
+    forgets both.
     taken: number of moments whose pictures somebody took.
     phase: what the scene does now.
     """
@@ -95,8 +96,7 @@ class LiveGrasp:
         self._gripping = next((item for item in scene.motion if (item.grip or 0) > 0), None)
         self._step_s = float(self._grasp.world.model.opt.timestep)
         self._moments = self.taken = 0
-        self.command: float | None = None
-        self.controls: Mapping[str, float] = {}
+        self._asked_s, self._steps = 0.0, 0
         self._begin()
 
     def restart(self) -> None:
@@ -106,6 +106,8 @@ class LiveGrasp:
 
     def _begin(self) -> None:
         self._held_s = 0.0
+        self.command: float | None = None
+        self.controls: Mapping[str, float] = {}
         self._asked = Asked(self._scene.motion[0], mass=self._scene.mass)
         self._motion: Iterator[Asked] = motion_of(self._scene, self._grasp.world, self._lasts)
 
@@ -113,6 +115,11 @@ class LiveGrasp:
     def phase(self) -> str:
         """Name of the phase of the motion; of what is waited for before it."""
         return "taking references" if self.taken < REST_PICTURES else self._asked.phase.name
+
+    @property
+    def actuators(self) -> Collection[str]:
+        """Names of the model's actuators."""
+        return self._grasp.world.actuators
 
     @property
     def opening(self) -> float:
@@ -131,7 +138,11 @@ class LiveGrasp:
         has to be started again then.
         """
         world = self._grasp.world
-        for _ in range(round(duration / self._step_s)):
+        # A duration may have a part of a step.
+        self._asked_s += duration
+        steps = round(self._asked_s / self._step_s)
+        begin, self._steps = self._steps, steps
+        for _ in range(begin, steps):
             if self.taken >= REST_PICTURES:
                 found = next(self._motion, None)
                 if found is None and self._settings.loop:

@@ -37,7 +37,9 @@ HOUSING_M = 0.03
 # The eye relative to what it looks at, m, and the focal length in px.
 EYE, FOCAL_PX = np.array([0.26, -0.16, 0.13]), 1500.0
 LIGHT = np.array([0.5, -0.4, 0.8]) / np.linalg.norm([0.5, -0.4, 0.8])
-# Bodies are drawn with so many pixels for one, either way.
+# Nearer to the eye, the table is not drawn, m.
+NEAREST_M = 0.05
+# Bodies are drawn this many times finer, and averaged.
 FINER = 2
 # Of the force arrows and of the plot's least range.
 M_PER_N, LEAST_N = 0.012, 1.0
@@ -91,8 +93,10 @@ class GraspPainter:
         view = _View(np.asarray(middle), picture.shape[1], picture.shape[0])
         for place in np.linspace(-0.2, 0.2, 11):
             for ends in ([[place, -0.2, 0], [place, 0.2, 0]], [[-0.2, place, 0], [0.2, place, 0]]):
-                a, b = view.pixels(np.array(ends))[0].round().astype(int)
-                cv2.line(picture, a.tolist(), b.tolist(), FAINT, 1, cv2.LINE_AA)
+                pixels, depths = view.pixels(np.array(ends))
+                if depths.min() > NEAREST_M:
+                    a, b = pixels.round().astype(int).tolist()
+                    cv2.line(picture, a, b, FAINT, 1, cv2.LINE_AA)
         parts: list[tuple[Array, Colour]] = [
             (frame.held.to_gel(self._object), OBJECT_COLOUR[::-1]),
             *((frame.fingertips[side].to_gel(part), colour) for side, part, colour in self._parts),
@@ -116,27 +120,35 @@ class GraspPainter:
         most = 1.05 * max(LEAST_N, *(np.nanmax(item) for item in self._forces.values()))
         end = self.scene.duration
 
-        def place(seconds: float, newtons: float) -> tuple[int, int]:
+        def place(seconds: Array, newtons: Array) -> NDArray[np.intp]:
             x = box[0] + (box[2] - box[0]) * seconds / end
-            return round(x), round(box[3] - (box[3] - box[1]) * newtons / most)
+            y = box[3] - (box[3] - box[1]) * newtons / most
+            return np.asarray(np.stack([x, y], axis=-1).round(), np.intp)
 
         cv2.rectangle(area, (box[0], box[1]), (box[2], box[3]), FAINT, 1)
-        for value in np.arange(0, most + 1e-9, _tick(most)):
-            x, y = place(0, float(value))
+        newtons, seconds = (
+            np.arange(0, most + 1e-9, _tick(most)),
+            np.arange(0, end + 1e-9, _tick(end)),
+        )
+        for value, (x, y) in zip(newtons, place(0 * newtons, newtons).tolist(), strict=True):
             cv2.line(area, (x, y), (box[2], y), FAINT, 1)
             _text(area, f"{value:g}", (8, y + 5), 0.45)
-        for value in np.arange(0, end + 1e-9, _tick(end)):
-            _text(area, f"{value:g} s", (place(float(value), 0)[0] - 8, height - 20), 0.45)
+        for value, (x, _) in zip(seconds, place(seconds, 0 * seconds).tolist(), strict=True):
+            _text(area, f"{value:g} s", (x - 8, height - 20), 0.45)
         _text(area, "N: grip (thick) and load of each finger; dots: as measured", (56, 16), 0.45)
+        now = np.array(self._seconds)
         for side in SIDES:
             for name, width_px in (("grip", 2), ("load", 1)):
-                true = zip(self._seconds, self._forces[f"{side} {name}"], strict=True)
-                points = np.array([place(*item) for item in true], np.int32)
-                cv2.polylines(area, [points], False, GELS[side], width_px, cv2.LINE_AA)
-                found = zip(self._seconds, self._forces[f"{side} {name} measured"], strict=True)
-                for seconds, newtons in found:
-                    if np.isfinite(newtons):
-                        cv2.circle(area, place(seconds, newtons), 2, GELS[side], -1, cv2.LINE_AA)
+                true, found = (
+                    np.array(self._forces[f"{side} {name}{more}"]) for more in ("", " measured")
+                )
+                line = place(now, true).astype(np.int32)
+                cv2.polylines(area, [line], False, GELS[side], width_px, cv2.LINE_AA)
+                known = np.isfinite(found)
+                dots = place(now[known], found[known])
+                # One of each column is enough.
+                for dot in dots[np.unique(dots[:, 0], return_index=True)[1]].tolist():
+                    cv2.circle(area, dot, 2, GELS[side], -1, cv2.LINE_AA)
 
 
 def _fingertip(size: tuple[float, float, float]) -> tuple[Array, Array]:

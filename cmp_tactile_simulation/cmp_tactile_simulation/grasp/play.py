@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ContactError
+from cmp_tactile_processing.errors import ContactError, InputError
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_simulation.contact.laws import Pose
@@ -87,12 +87,12 @@ def motion_of(
             }
             if phase.shake:
                 angle = 2 * math.pi * phase.shake_hz * number * step
-                controls[SHAKE] = phase.shake * math.sin(angle)
+                controls[SHAKE] = controls.get(SHAKE, 0.0) + phase.shake * math.sin(angle)
             now_push = (1 - smooth) * before.push + smooth * push
             yield Asked(phase, controls, now_push, before.mass + (heavier - before.mass) * share)
             if number >= steps and not lasts(phase):
                 break
-        before = Asked(phase, goal, push, heavier)
+        before = Asked(phase, controls, push, heavier)
 
 
 class Grasp:
@@ -113,6 +113,7 @@ class Grasp:
     ) -> None:
         self.scene = scene
         self.world = World(gripper_model(scene), SIDES, OBJECT, scene.gripper.speed, scene.keyframe)
+        _check_actuators(scene, self.world)
         self._pictures = pictures
         self.fingers = {
             side: Simulator(
@@ -186,7 +187,24 @@ def _goal(phase: GraspPhase, before: Mapping[str, float]) -> dict[str, float]:
         goal[LIFT] = phase.lift
     if phase.tilt_deg is not None:
         goal[TILT] = math.radians(phase.tilt_deg)
+    if SHAKE in before:
+        # What is left of a shake.
+        goal[SHAKE] = 0.0
     return goal
+
+
+def _check_actuators(scene: GraspScene, world: World) -> None:
+    """Raise InputError for a phase that sets what the gripper does not have."""
+    for number, phase in enumerate(scene.motion):
+        names = {*_goal(phase, {}), *([SHAKE] if phase.shake else [])}
+        if GRIP in names:
+            names = names - {GRIP} | {f"{GRIP}_{side}" for side in SIDES}
+        missing = sorted(names - {*world.actuators})
+        if missing:
+            known = ", ".join(world.actuators) or "none"
+            msg = f"{scene.file}: motion[{number}], {phase.name}: found the actuator {missing[0]}"
+            msg += f", expected one of the gripper's: {known}"
+            raise InputError(msg)
 
 
 def _body(scene: GraspScene, pose: Pose) -> Indenter:

@@ -112,7 +112,7 @@ class GraspPhase(Part):
 class GraspKeys(Part):
     """The keys of a grasp that its file holds as they are.
 
-    sensor: description of both fingertips; sensors: of a side that has another one.
+    sensor: description of both fingertips; sensors: by side, of one that differs.
     mass kg and position m: of the object on the table.
     rate: of frames, Hz.  contact_nodes, samples: as of a scene.  camera: of both.
     model: MJCF of another gripper, with the sites `left` and `right` (gel frames: z outwards), or
@@ -142,6 +142,8 @@ class GraspKeys(Part):
         if self.model is None and (self.fingertips or self.keyframe):
             key = "fingertips" if self.fingertips else "keyframe"
             raise RefusedValueError("no such key without a model", key)
+        if self.model is not None and self.gripper != Gripper():
+            raise RefusedValueError("no such key with a model", "gripper")
         return self
 
 
@@ -184,22 +186,25 @@ def _read(top: YamlFile, path: Path) -> GraspScene:
     kind = shape.content.get("type")
     if kind not in SHAPES:
         raise shape.error("type", kind, f"one of {', '.join(SHAPES)}")
-    files = {side: _sensor_file(top, path, found, side) for side in SIDES}
+    sensors = {side: _sensor(top, path, found, side) for side in SIDES}
     values: dict[str, Any] = {item.name: getattr(found, item.name) for item in fields(GraspKeys)}
     if found.model is not None and not (path.parent / found.model).is_file():
         raise top.error("model", found.model, "an MJCF file")
     held = read_indenter(shape, path.parent, Start((0.0, 0.0, 0.0)))
-    described = {side: load_sensor(str(file)) for side, file in files.items()}
+    files = {side: file for side, (file, _) in sensors.items()}
+    described = {side: sensor for side, (_, sensor) in sensors.items()}
     return GraspScene(**values, described=described, files=files, object=held, file=path)
 
 
-def _sensor_file(top: YamlFile, path: Path, found: GraspKeys, side: str) -> Path:
+def _sensor(
+    top: YamlFile, path: Path, found: GraspKeys, side: str
+) -> tuple[Path, SensorDescription]:
+    """File and content of a side's description."""
     own = [name for key, name in found.sensors.items() if key == side]
     key, name = (f"sensors.{side}", own[0]) if own else ("sensor", found.sensor)
     beside = path.parent / name
     try:
         source = beside if beside.is_file() else find_sensor_description(name)
-        load_sensor(str(source))
+        return source, load_sensor(str(source))
     except InputError as error:
         raise top.error(key, name, f"a sensor description ({error})") from None
-    return source

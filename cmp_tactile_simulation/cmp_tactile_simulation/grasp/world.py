@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,8 @@ def load_mujoco() -> Any:
         import mujoco
     except ImportError as error:
         raise InputError(INSTALL) from error
+    # Otherwise it writes its warnings into a file in the working folder.
+    mujoco.set_mju_user_warning(lambda _: None)
     return mujoco
 
 
@@ -67,6 +69,8 @@ def gripper_model(scene: GraspScene) -> Any:
         for side in SIDES:
             place = spec.site(side).pos
             place[1] = math.copysign(scene.gripper.opening / 2, place[1])
+            # Fingers with nothing between them stop at each other.
+            spec.joint(side).range[1] = scene.gripper.opening / 2
     for side, tip in scene.fingertips.items():
         finger = spec.body(tip.body)
         if finger is None:
@@ -117,16 +121,12 @@ class World:
         Raises InputError for a model that MuJoCo refuses, or without a site, the body or the
         keyframe.
         """
-        self._mujoco, self._warnings = load_mujoco(), list[str]()
-        # Otherwise MuJoCo writes a file into the working folder, and begins the simulation again.
-        self._mujoco.set_mju_user_warning(self._warnings.append)
+        self._mujoco = load_mujoco()
         try:
             self.model = spec.compile()
         except ValueError as error:
             msg = f"model: MuJoCo refuses it: {error}"
             raise InputError(msg) from None
-        # What it says of the model's files changes nothing later.
-        self._warnings.clear()
         self.data = self._mujoco.MjData(self.model)
         self._keyframe = None if keyframe is None else self._number("key", keyframe)
         self._names, self._speed = list(sites), speed
@@ -161,8 +161,13 @@ class World:
         if self._keyframe is not None:
             self._mujoco.mj_resetDataKeyframe(self.model, self.data, self._keyframe)
         self.model.body_mass[:], self.model.body_inertia[:] = self._masses
+        self.model.actuator_forcerange[:] = self._limits
         self._mujoco.mj_forward(self.model, self.data)
-        self._warnings.clear()
+
+    @property
+    def actuators(self) -> Collection[str]:
+        """Names of the model's actuators."""
+        return self._actuators.keys()
 
     def control(self, name: str) -> float:
         """What the actuator of a name is set to, 0 for the grip of both fingers."""
@@ -202,10 +207,6 @@ class World:
         """From the first gel to the second, along the first one's normal, m."""
         (here, turn), (there, _) = self._frames
         return float((there - here) @ turn[:, 2])
-
-    def gel(self, finger: int) -> FingerContact:
-        """The gel of a finger."""
-        return self._gels[finger]
 
     def touch(self, finger: int) -> FingerTouch:
         """The gel of a finger as it was last solved."""
@@ -248,8 +249,12 @@ class World:
             for body, acting in ((self._fingers[finger], wrench), (self._held, -wrench)):
                 push(acting, turn, self._at[0] - self._centres[body], self._applied[body])
         self._mujoco.mj_step(model, data)
-        if self._warnings:
-            msg = f"MuJoCo: {self._warnings[0].strip()}"
+        # It has begun again by itself then.
+        warned = data.warning.number
+        if warned.any():
+            kind = int(warned.argmax())
+            text = self._mujoco.mju_warningText(kind, int(data.warning.lastinfo[kind]))
+            msg = f"MuJoCo: {text}"
             raise ContactError(msg)
         # Poses and velocities of the new place, without another step.
         self._mujoco.mj_kinematics(model, data)

@@ -46,10 +46,15 @@ from cmp_tactile_simulation.grasp.world import load_mujoco
 from cmp_tactile_simulation.recording.truth import pose_message, transform_message
 
 Array = NDArray[np.float64]
+# The simulation calls MuJoCo some 20,000 times a second.  After each call it waits for the GIL for
+# so long, s, where another thread is busy in Python; by default 5 ms.
+SWITCH_S = 1e-4
 # Commands are taken, and clock and opening published, about so often, s of simulated time.
 CHUNK_S = 0.01
-# Simulated time that is later than this, s, is not caught up with.
+# A lag of up to this, s, is caught up with; what is beyond it is given up.
 LATEST_S = 0.5
+# A grasp that failed is reported for so long, s of simulated time.
+REPORTED_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -115,8 +120,7 @@ class GraspSimulator(ReportingNode):
         self.create_service(Trigger, "~/restart", self._on_restart)
         self._grasp: LiveGrasp | None = None
         self._note = self._problem = ""
-        self._command: float | None = None
-        self._controls: dict[str, float] = {}
+        self._problem_s = 0.0
         self._asked = threading.Event()
         self._sent = SentFrames()
         self._passed = 0.0, time.monotonic()
@@ -126,16 +130,23 @@ class GraspSimulator(ReportingNode):
 
     def _on_command(self, message: Float64) -> None:
         if math.isfinite(message.data):
-            self._command = message.data
+            if self._grasp is not None:
+                self._grasp.command = message.data
         else:
             self._warn(f"gripper/command: found {message.data}, expected an opening in m")
 
     def _on_controls(self, message: JointState) -> None:
+        if self._grasp is None:
+            return
         values = dict(zip(message.name, message.position, strict=False))
-        if len(values) == len(message.name) and all(map(math.isfinite, values.values())):
-            self._controls = values
-        else:
+        unknown = values.keys() - self._grasp.actuators
+        if len(values) < len(message.name) or not all(map(math.isfinite, values.values())):
             self._warn(f"gripper/controls: found {values}, expected a finite position of each name")
+        elif unknown:
+            known = ", ".join(self._grasp.actuators)
+            self._warn(f"gripper/controls: found {min(unknown)}, expected names of {known}")
+        else:
+            self._grasp.controls = values
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text, throttle_duration_sec=5.0)
@@ -152,10 +163,14 @@ class GraspSimulator(ReportingNode):
 
     def _run(self) -> None:
         """The thread of the simulation."""
+        sys.setswitchinterval(SWITCH_S)
         try:
             grasp = self._grasp = LiveGrasp(self._scene, self._own, self._on_progress)
         except CancelledError:
             return
+        except CmpTactileError as error:
+            self.get_logger().error(str(error))
+            raise
         chunks = max(1, round(1 / self._rate / CHUNK_S))
         chunk, number = 1 / self._rate / chunks, 0
         began_ns, due = time.time_ns(), time.monotonic()
@@ -168,7 +183,9 @@ class GraspSimulator(ReportingNode):
                 stamp_ns = began_ns + round(self._time_s * NS_PER_S)
                 self._publish_time(stamp_ns, grasp)
                 try:
-                    self._take_commands(grasp)
+                    if self._asked.is_set():
+                        self._asked.clear()
+                        grasp.restart()
                     if number % chunks == 0:
                         if drawn is not None:
                             drawn.result()
@@ -177,19 +194,10 @@ class GraspSimulator(ReportingNode):
                     grasp.advance(chunk)
                 except CmpTactileError as error:
                     self._problem = f"{self._scene.name}: {grasp.phase}: {error}"
+                    self._problem_s = self._time_s
                     self.get_logger().warning(f"{self._problem}; the grasp begins again")
-                    self._begin_again(grasp)
+                    grasp.restart()
                 number += 1
-
-    def _take_commands(self, grasp: LiveGrasp) -> None:
-        if self._asked.is_set():
-            self._asked.clear()
-            self._begin_again(grasp)
-        grasp.command, grasp.controls = self._command, self._controls
-
-    def _begin_again(self, grasp: LiveGrasp) -> None:
-        self._command, self._controls = None, {}
-        grasp.restart()
 
     def _publish_time(self, stamp_ns: int, grasp: LiveGrasp) -> None:
         if self._own.publish_clock:
@@ -206,9 +214,7 @@ class GraspSimulator(ReportingNode):
             transform_message(make, OBJECT_FRAME, moment.held, world),
         ]
         transforms += [
-            transform_message(
-                make, gel_frame(finger.sensor), _seen_from(gripper, tips[side]), middle
-            )
+            transform_message(make, gel_frame(finger.sensor), tips[side].seen_from(gripper), middle)
             for side, finger in self._fingers.items()
         ]
         self._transforms.sendTransform(transforms)
@@ -222,6 +228,8 @@ class GraspSimulator(ReportingNode):
         before, since = self._passed
         self._passed = now_s, now = self._time_s, time.monotonic()
         grasp = self._grasp
+        if now_s > self._problem_s + REPORTED_S:
+            self._problem = ""
         findings = [
             Finding(Severity.ERROR, self._worker.failure),
             Finding(Severity.WARNING, self._problem),
@@ -268,11 +276,6 @@ def gripper_pose(left: Pose, right: Pose) -> Pose:
     x /= np.linalg.norm(x)
     middle = (left.position + right.position) / 2
     return Pose(middle, np.stack([x, y, np.cross(x, y)], axis=1))
-
-
-def _seen_from(frame: Pose, pose: Pose) -> Pose:
-    turn = frame.rotation.T
-    return Pose(turn @ (pose.position - frame.position), turn @ pose.rotation)
 
 
 def main() -> int:

@@ -10,6 +10,7 @@ import yaml
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mujoco")
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
@@ -82,14 +83,17 @@ def test_commands_move_the_fingers_and_wrong_ones_do_not(ros, scene):
         command.publish(Float64(data=opening))
         return abs(openings[-1].data - opening) < 1e-5
 
-    ros.wait(lambda: reached(begin - 0.003), "the command")
-    command.publish(Float64(data=math.nan))
-    controls.publish(JointState(name=["lift"], position=[math.nan]))
-    ros.run(0.3)
-    assert openings[-1].data == pytest.approx(begin - 0.003, abs=1e-5)
-
     def height():
         return poses[-1].transforms[0].transform.translation.z
+
+    ros.wait(lambda: reached(begin - 0.003), "the command")
+    command.publish(Float64(data=math.nan))
+    before = height()
+    controls.publish(JointState(name=["lift"], position=[math.nan]))
+    controls.publish(JointState(name=["lift", "no_such"], position=[0.01, 1.0]))
+    ros.run(0.3)
+    assert openings[-1].data == pytest.approx(begin - 0.003, abs=1e-5)
+    assert height() == pytest.approx(before, abs=1e-4)
 
     low = height()
 
@@ -100,21 +104,28 @@ def test_commands_move_the_fingers_and_wrong_ones_do_not(ros, scene):
     ros.wait(lifted, "the hand")
 
 
-def test_an_unknown_actuator_is_reported_and_the_grasp_begins_again(ros, scene):
-    node = ros.start(GraspSimulator, scene=scene)
+def test_a_grasp_that_fails_is_reported_and_begins_again(ros, scene):
+    """A hand that presses with 10 N, and then jerks by more than a gel can follow."""
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    ros.start(GraspSimulator, scene=scene)
     openings = ros.listen(Float64, "gripper/opening")
     controls = ros.publisher(JointState, "gripper/controls")
     ros.wait(lambda: openings, "the gripper", timeout_s=300)
+    begin = openings[-1].data
 
     def reported():
-        controls.publish(JointState(name=["no_such"], position=[1.0]))
-        return "no_such" in node._status().message
+        given = {"grip_left": 0.02, "grip_right": 0.02}
+        if openings[-1].data < 0.0292:
+            given["shake"] = 1.0
+        controls.publish(JointState(name=[*given], position=[*given.values()]))
+        statuses = [status for report in reports for status in report.status]
+        return any("found a motion" in status.message for status in statuses)
 
     ros.wait(reported, "the report")
-    count = len(openings)
-    ros.wait(lambda: len(openings) > count + 5, "that it goes on")
+    # What is published until then moves the fingers again.
     answer = ros.call(Trigger, "grasp_simulator/restart", Trigger.Request())
     assert answer.success
+    ros.wait(lambda: abs(openings[-1].data - begin) < 1e-4, "that it begins again")
 
 
 @pytest.mark.parametrize(

@@ -87,6 +87,17 @@ def test_controller_moves_the_fingers_and_the_motion_waits_for_it(box: GraspScen
     assert max(grasp.grips) == 0.0
 
 
+def test_time_passes_as_asked(box: GraspScene) -> None:
+    """A chunk of 1 / 30 s in thirds has 22.2 of MuJoCo's steps."""
+    grasp = started(box, loop=False)
+    begin = grasp.phase
+    chunks = 0
+    while grasp.phase == begin:
+        grasp.advance(1 / 90)
+        chunks += 1
+    assert chunks / 90 == pytest.approx(0.4, abs=1 / 90)
+
+
 def test_restart_begins_with_a_gel_that_was_never_touched(box: GraspScene) -> None:
     grasp = started(box)
     at_rest, before = seen(grasp)
