@@ -103,6 +103,16 @@ def test_a_press_and_a_hold_do_not_slip(drag, observed_drag):
         assert field.contacts[0].slip == field.slip
 
 
+def test_a_contact_that_is_pressed_harder_sticks_again(gel, observe):
+    """Just short of the limit: the ratio of the forces falls then, which is no steady sliding."""
+    trial = Trial(gel, Sphere(8e-3), FRICTION, (-1e-3, 0.0))
+    trial.press(3.0, 8, phase="press").hold(4, "hold")
+    trial.move((9e-4, 0.0, 0.0), 25, phase="drag").move((0.0, 0.0, -1.2e-4), 8, phase="harder")
+    harder = _phase("harder", trial.frames, observe(trial.frames))
+    assert all(field.slip_state is not SlipState.FULL for field in harder)
+    assert harder[-1].slip_state is SlipState.STICK
+
+
 def test_slip_begins_before_all_slides(drag, observed_drag):
     """It is reported while a core still sticks, and the friction is foreseen within its error."""
     states = [field.slip_state for field in observed_drag]

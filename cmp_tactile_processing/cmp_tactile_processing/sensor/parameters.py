@@ -206,7 +206,7 @@ class SlipParameters(Parameters, section="slip"):
     full_ratio: float = parameter(
         0.75,
         "slip is full if at least this share of the contact slides, weighted by normal force, and "
-        "the traction ratio no longer rises; the share has an error of up to 0.2",
+        "the traction ratio is steady; the share has an error of up to 0.2",
         within=(0.0, 1.0),
     )
 

@@ -43,9 +43,9 @@ MIN_RELEASED_SHARE = 0.07
 MIN_WIDTH_RATIO = 0.8
 # The ratio of traction to pressure is not uniform if their widths differ by more than this share.
 MAX_UNIFORM_WIDTH_DIFFERENCE = 0.15
-# The friction ratio is steady if over so many frames it rises by at most this share.
+# The friction ratio is steady if over so many frames it changes by at most this share.
 STEADY_FRAMES = 3
-MAX_STEADY_RISE = 0.02
+MAX_STEADY_CHANGE = 0.02
 # Radii by which a contact may travel over the gel before its history is no longer its own.
 FARTHEST = 0.5
 # Sliding frames that the friction coefficient is computed from.
@@ -220,11 +220,14 @@ class ContactTrack:
         return near and patch.profile.is_rounded and reach.width > MIN_WIDTH_RATIO
 
     def _is_steady(self, patch: ContactPatch) -> bool:
-        """Whether the friction used no longer rises and, where it once slid, is as high as then."""
+        """Whether the friction used stays as it is and, where it once slid, is as high as then.
+
+        It falls where a contact that does not slide is pressed harder.
+        """
         if len(self._recent) < STEADY_FRAMES or patch.use.ratio < self._friction_kept(patch):
             return False
-        limit = max(MAX_STEADY_RISE * patch.use.ratio, DEVIATIONS * patch.ratio_std)
-        return patch.use.ratio - min(self._recent) < limit
+        limit = max(MAX_STEADY_CHANGE * patch.use.ratio, DEVIATIONS * patch.ratio_std)
+        return max(abs(patch.use.ratio - before) for before in self._recent) < limit
 
 
 class SlipObserver:
