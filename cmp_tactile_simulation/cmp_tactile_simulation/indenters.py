@@ -257,6 +257,9 @@ def _distance(
     gap, normal = np.empty(len(points)), np.empty((len(points), 3))
     for k in range(len(points)):
         x, y = (points[k, 0] - corner[0]) / resolution, (points[k, 1] - corner[1]) / resolution
+        if not np.isfinite(x + y):
+            gap[k], normal[k] = np.nan, np.nan
+            continue
         inside_x, inside_y = min(max(x, 0.0), cols - 1.0), min(max(y, 0.0), rows - 1.0)
         beyond = resolution * np.hypot(x - inside_x, y - inside_y)
         j, i = min(int(inside_x), cols - 2), min(int(inside_y), rows - 2)
