@@ -54,9 +54,9 @@ def _run(words: Sequence[str], interruption: Interruption) -> int:
         # The reader of the output has gone, as `| head` does; what is left has no use.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except (Exception, SystemExit) as error:
-        if interruption.number:
-            # What the interrupt caused in what was being loaded; typer makes an exit of it.
+    except BaseException as error:
+        if interruption.number or isinstance(error, KeyboardInterrupt):
+            # Also what it caused: typer makes an exit of it, a library in Rust a panic.
             raise KeyboardInterrupt from None
         if isinstance(error, SystemExit):
             raise

@@ -130,7 +130,7 @@ def print_findings(
             print_line(console, f"  what to do: {item.advice}")
 
 
-def error_reason(error: Exception, hint: str = "") -> str:
+def error_reason(error: BaseException, hint: str = "") -> str:
     """What a user reads of an error behind "error: ", mostly one line.
 
     hint: appended where the error is not one that a user is expected to cause.

@@ -24,7 +24,7 @@ RUN_MODULE = (
 )
 NUMBERS = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
 LONGEST_SLEEP = 1.0  # s
-# After which an interrupt that Python dropped is repeated.
+# After which an interrupt that was lost is repeated.
 REPEAT_S = 0.05
 
 
@@ -90,22 +90,21 @@ class StopSignal:
 
 
 class Interruption:
-    """A context manager: these signals raise KeyboardInterrupt, also in what takes long to compile.
+    """A context manager: these signals raise KeyboardInterrupt, also in what takes long to load.
 
-    Python drops an exception that is raised within a finaliser, and a compiler runs many of them:
-    the interrupt is repeated where it was dropped, without a traceback.
+    Python drops an exception that is raised within a finaliser, and C code that calls Python may
+    drop any: the interrupt is repeated until it is seen to end what runs, without tracebacks.
     number: of the last signal that came; 0 for none.
     """
 
     def __init__(self) -> None:
         self.number = 0
         self._earlier: dict[int, Any] = {}
-        self._show_unraisable = sys.unraisablehook
+        self._hooks: tuple[Any, Any] = (sys.excepthook, sys.unraisablehook)
 
     def __enter__(self) -> Interruption:
         for number in (*stopping_signals(), signal.SIGALRM):
             self._earlier[number] = signal.signal(number, self._on_signal)
-        sys.unraisablehook = self._on_dropped
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -115,7 +114,7 @@ class Interruption:
             self._earlier[signal.SIGHUP] = signal.SIG_IGN
         for number, handler in self._earlier.items():
             signal.signal(number, handler)
-        sys.unraisablehook = _show_nothing if self.number else self._show_unraisable
+        sys.excepthook = self._hooks[0]
 
     @property
     def exit_code(self) -> int:
@@ -125,16 +124,24 @@ class Interruption:
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         if number == self.number == signal.SIGHUP:
             return
+        signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
+        if number == signal.SIGALRM and _is_being_interrupted():
+            return
         if number != signal.SIGALRM:
             self.number = number
+        # C code may print what it drops; and what is left half made fails in its finaliser, until
+        # the process ends.
+        sys.excepthook = sys.unraisablehook = _show_nothing
         raise KeyboardInterrupt
 
-    def _on_dropped(self, dropped: sys.UnraisableHookArgs) -> None:
-        if not self.number:
-            self._show_unraisable(dropped)
-        elif dropped.exc_type is KeyboardInterrupt:
-            signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
+
+def _is_being_interrupted() -> bool:
+    """Whether the code that a signal came in handles a KeyboardInterrupt, as in `finally`."""
+    error = sys.exc_info()[1]
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
 
 
-def _show_nothing(_dropped: sys.UnraisableHookArgs) -> None:
-    """What an interrupt left half made fails in its finaliser, until the process ends."""
+def _show_nothing(*_: object) -> None:
+    """In place of a hook that writes a traceback."""
