@@ -13,9 +13,10 @@ from collections.abc import Callable
 import rclpy
 from geometry_msgs.msg import Point, PoseStamped, Vector3, WrenchStamped
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
-from cmp_tactile_msgs.msg import ForceField
+from cmp_tactile_msgs.msg import ForceField, Surface
 
 NORMAL_N = 2.0
 DRAG_M = 0.5e-3
@@ -32,6 +33,7 @@ class Hand(Node):
         self.pose: PoseStamped | None = None
         self.felt = self.true = Vector3()
         self.paired = (0, 0)
+        self.has_reference = False
         self._truths: dict[tuple[int, int], Vector3] = {}
         self.load = self.create_publisher(WrenchStamped, "indenter/load", 10)
         self.target = self.create_publisher(PoseStamped, "indenter/target", 10)
@@ -39,6 +41,8 @@ class Hand(Node):
         self.create_subscription(PoseStamped, "indenter/pose", self._on_pose, 10)
         self.create_subscription(ForceField, "truth/force_field", self._on_truth, 10)
         self.create_subscription(ForceField, "force_field", self._on_force, 10)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.create_subscription(Surface, "reference", self._on_reference, latched)
 
     def is_ready(self) -> bool:
         """Whether the simulator shows a pose and takes commands: one sent earlier is lost."""
@@ -73,6 +77,9 @@ class Hand(Node):
     def _on_pose(self, message: PoseStamped) -> None:
         self.pose = message
 
+    def _on_reference(self, message: Surface) -> None:
+        self.has_reference = message.reference_id > 0
+
     def _on_truth(self, message: ForceField) -> None:
         self._truths[stamp(message)] = message.wrench.force
 
@@ -106,6 +113,8 @@ def main(sensor: str = "sample_rig") -> None:
     hand = Hand(sensor)
     try:
         wait(hand, hand.is_ready, f"found no live simulated sensor {sensor}", STARTING_S)
+        # The sensor takes its zero while nothing touches the gel.
+        wait(hand, lambda: hand.has_reference, "the sensor took no reference")
         hand.press(NORMAL_N)
         wait(hand, hand.is_pressed, "the sensor did not take the load")
         hand.tell("pressed")

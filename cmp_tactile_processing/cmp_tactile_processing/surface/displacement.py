@@ -24,6 +24,7 @@ from cmp_tactile_processing.measured import (
 )
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
+from cmp_tactile_processing.surface.stillness import dents_of_frames
 
 # Markers of a gel at rest stay within this of their median, m; ten times the usual noise of 5 um.
 STILL_LIMIT = 50e-6
@@ -177,9 +178,17 @@ def _at_rest(stack: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.
         typical = [
             float(np.median(o[s])) if s.any() else 0.0 for o, s in zip(off, often, strict=True)
         ]
-        bad = np.array(typical) > STILL_LIMIT
+        dents, least = dents_of_frames(np.where((off <= STILL_LIMIT)[..., None], stack, np.nan))
+        bad = (np.array(typical) > STILL_LIMIT) | (dents > least)
         if np.count_nonzero(bad) <= max(1, voters // FRAMES_PER_BAD_ONE):
             used[bad] = False
+        elif (dents > least).any():
+            msg = (
+                f"reference: found {np.count_nonzero(bad)} of {voters} frames in which markers "
+                f"are off the other frames, together by up to {dents.max() * 1e6:.0f} um, expected "
+                f"a gel at rest (at most {least * 1e6:.0f} um)"
+            )
+            raise CalibrationError(msg)
     moved = float(np.median(np.max(off, axis=0, where=used, initial=0.0)[used.any(axis=0)]))
     if moved > STILL_LIMIT:
         msg = (

@@ -29,6 +29,9 @@ MOST_MARKERS = 0.95
 DEVIATIONS = 5.0
 # Motion below this is none, m: a tenth of the least that a load of interest makes.
 LEAST_MOTION = 3e-6
+# A dent of a single frame below this is none, m.  In a fifth of the frames of a reference it would
+# feign 5 mN (sample_rig, ball of 10 mm).
+LEAST_DENT = 15e-6
 # Another scale is another sensor, or a press from rim to rim.
 LARGEST_SCALE = 0.03
 # Standard deviation of the median of normal noise per that of its mean.
@@ -126,6 +129,20 @@ def rest_shape(rest: NDArray[np.float64], position: NDArray[np.float64]) -> Rest
     row, col = np.unravel_index(int(np.nanargmax(bump)), bump.shape)
     shift = float(np.sqrt(np.nansum(motion.shift**2)))
     return RestShape(shift, motion.scale, float(bump[row, col]), (int(row), int(col)))
+
+
+def dents_of_frames(stack: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Most that neighbouring markers of each frame are off the frames' median, and its limit, m.
+
+    stack (F, rows, cols, 3) m; a rigid motion, as of a camera that shakes, and a scale are left
+    out; 0 where too few markers are known.  Beyond the limit it is a touch and not noise.
+    """
+    middle = _median(stack)
+    shapes = [rest_shape(middle, item) for item in stack]
+    noise = float(np.nan_to_num(_shake(stack))) / math.sqrt(NEIGHBOURS)
+    return np.array([shape.bump if shape else 0.0 for shape in shapes]), max(
+        LEAST_DENT, DEVIATIONS * noise
+    )
 
 
 def motion_limit(position: NDArray[np.float64]) -> float:

@@ -226,6 +226,34 @@ class TestReference:
         with pytest.raises(CalibrationError, match=r"found markers moving by 9\d\d um"):
             Reference.average(frames, 1)
 
+    @pytest.mark.parametrize("depth_um", [60, 250, 700])
+    @pytest.mark.parametrize("pressed", [1, 2, 3, 4])
+    def test_a_press_that_begins_in_the_last_frames_is_no_part_of_it(
+        self, nominal, pressed, depth_um
+    ):
+        """Most markers move less than 50 um aside; a dent of 700 um in 4 of 20 feigned 0.08 N."""
+        frames = list(_frames(nominal))
+        for k in range(1, pressed + 1):
+            dent = _bump(nominal, depth_um * UM * (pressed + 1 - k) / pressed)
+            frames[-k] = replace(frames[-k], position=frames[-k].position + dent)
+        if pressed > 2:
+            with pytest.raises(CalibrationError, match="of 20 frames in which"):
+                Reference.average(frames, 1)
+            return
+        reference = Reference.average(frames, 1)
+        assert reference.frames == FRAMES - pressed
+        # Errors of the mean of 18 frames, the largest of 400 markers.
+        assert np.abs(reference.position - nominal).max() < 5 * NOISE[2] / np.sqrt(18)
+
+    @pytest.mark.parametrize("noise", [NOISE, 10 * NOISE])
+    def test_frames_of_a_camera_that_shakes_or_is_noisy_serve(self, nominal, noise):
+        rng = np.random.default_rng(3)
+        frames = [
+            _markers(_turned(item.position, rng.normal(size=3) * 2e-4, rng.normal(size=3) * 1e-5))
+            for item in _frames(nominal, noise=noise)
+        ]
+        assert Reference.average(frames, 1).frames == FRAMES
+
     def test_marker_without_reference_says_so(self, nominal):
         hidden = nominal.copy()
         hidden[4, 6] = np.nan
