@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import io
 import os
 import signal
@@ -34,7 +35,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                     # What the terminal's encoding lacks, as in a path, is written by its number.
                     stream.reconfigure(errors="backslashreplace")
             return _run(sys.argv[1:] if argv is None else argv, interruption)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
+        # Never freed: a compiler that was left half way may crash as it is (numba/llvmlite 350).
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(interrupt))
         print("stopped", file=sys.stderr)
         return interruption.exit_code or INTERRUPTED
     finally:

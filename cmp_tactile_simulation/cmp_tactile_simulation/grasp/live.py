@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.grasp.play import Asked, Grasp, motion_of
-from cmp_tactile_simulation.grasp.scene import SIDES, GraspPhase, GraspScene
-from cmp_tactile_simulation.grasp.world import GRIP, OBJECT, OPENING
+from cmp_tactile_simulation.grasp.scene import SIDES, GraspPhase, GraspScene, Servo
+from cmp_tactile_simulation.grasp.world import GRIP, OBJECT, OPENING, World
 from cmp_tactile_simulation.live.mechanics import REST_PICTURES
 from cmp_tactile_simulation.live.sensor import with_half_the_pixels
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
@@ -25,6 +27,8 @@ Image = NDArray[np.uint8]
 DRIVES = SCENE, COMMAND = "scene", "command"
 # An object is held where a controller presses with this share of the scene's grip for so long, s.
 HELD_SHARE, HELD_S = 0.5, 1.0
+# Shares of the way of a servo at which the opening is found; it is more than this, m.
+SERVO_SHARES, LEAST_WAY = np.linspace(0.0, 1.0, 33), 1e-3
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,8 @@ class LiveGrasp:
             )
             for number, (side, tip) in enumerate(tips.items())
         }
-        self._gripping = next((item for item in scene.motion if (item.grip or 0) > 0), None)
+        self._gripping, self._letting_go = _closing_and_opening(scene)
+        self._openings = _servo_openings(scene, self._grasp.world)
         self._step_s = float(self._grasp.world.model.opt.timestep)
         self._moments = self.taken = 0
         self._asked_s, self._steps = 0.0, 0
@@ -151,22 +156,32 @@ class LiveGrasp:
             world.step(self._controls(), self._asked.push, self._asked.mass)
 
     def _controls(self) -> dict[str, float]:
-        controls = {**self._asked.controls, **self.controls}
-        # At the end of a scene the hand opens, whatever a controller asks for.  A gripper of the
-        # user's own has no such opening.
-        commanded = self._settings.drive == COMMAND and self._scene.model is None
-        if commanded and controls.get(GRIP, 0.0) >= 0:
-            controls.pop(GRIP, None)
-            controls[OPENING] = (
-                self._scene.gripper.opening if self.command is None else self.command
-            )
-        return controls
+        asked = dict(self._asked.controls)
+        if self._settings.drive == COMMAND:
+            # At the end of a scene the hand opens, whatever a controller asks for.
+            if self._scene.servo is not None:
+                asked |= self._servo_controls(self._scene.servo, asked)
+            elif self._scene.model is None and asked.get(GRIP, 0.0) >= 0:
+                asked.pop(GRIP, None)
+                opening = self._scene.gripper.opening
+                asked[OPENING] = opening if self.command is None else self.command
+        return {**asked, **self.controls}
+
+    def _servo_controls(self, servo: Servo, asked: Mapping[str, float]) -> dict[str, float]:
+        share = 0.0
+        if self.command is not None:
+            share = float(np.interp(-self.command, -self._openings, SERVO_SHARES))
+        if any(self._asked.phase is phase for phase in self._letting_go):
+            share = min(share, servo.share(asked))
+        return servo.controls(share)
 
     def _lasts(self, phase: GraspPhase) -> bool:
         """Whether the object is not held yet, where a controller is to grip it."""
-        if self._settings.drive == SCENE or phase is not self._gripping or phase.grip is None:
+        if self._settings.drive == SCENE or phase is not self._gripping:
             return False
-        pressed = min(self.grips) > HELD_SHARE * phase.grip
+        servo = self._scene.servo
+        held = HELD_SHARE * (phase.grip or 0.0) if servo is None else servo.held
+        pressed = min(self.grips) > held
         self._held_s = self._held_s + self._step_s if pressed else 0.0
         return self._held_s < HELD_S
 
@@ -198,3 +213,38 @@ class LiveGrasp:
             side: camera.picture(moment.number, moment.surfaces[side])
             for side, camera in self._cameras.items()
         }
+
+
+def _closing_and_opening(scene: GraspScene) -> tuple[GraspPhase | None, tuple[GraspPhase, ...]]:
+    """The phase that grips, None without one; and the phases after it from that on which lets go.
+
+    That is one which takes back half of the grip.
+    """
+    servo = scene.servo
+    grips = [
+        (math.nan if phase.grip is None else phase.grip)
+        if servo is None
+        else servo.share(phase.controls)
+        for phase in scene.motion
+    ]
+    closing = next((n for n, grip in enumerate(grips) if grip > 0), None)
+    if closing is None:
+        return None, ()
+    later = range(closing + 1, len(grips))
+    opening = next((n for n in later if grips[n] < grips[closing] / 2), len(grips))
+    return scene.motion[closing], scene.motion[opening:]
+
+
+def _servo_openings(scene: GraspScene, world: World) -> Array:
+    """Openings (n,) m at SERVO_SHARES, falling; empty without a servo.
+
+    Raises InputError for a servo that does not close the fingers.
+    """
+    if scene.servo is None:
+        return np.zeros(0)
+    found = world.openings([scene.servo.controls(share) for share in SERVO_SHARES])
+    if not found[0] - found[-1] > LEAST_WAY:
+        msg = f"{scene.file}: servo: found openings of {1e3 * found[0]:.1f} mm where open and "
+        msg += f"{1e3 * found[-1]:.1f} mm where closed, expected {1e3 * LEAST_WAY:g} mm between"
+        raise InputError(msg)
+    return np.minimum.accumulate(found)

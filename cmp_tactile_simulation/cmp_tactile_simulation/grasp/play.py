@@ -194,14 +194,18 @@ def _goal(phase: GraspPhase, before: Mapping[str, float]) -> dict[str, float]:
 
 
 def _check_actuators(scene: GraspScene, world: World) -> None:
-    """Raise InputError for a phase that sets what the gripper does not have."""
+    """Raise InputError for a phase, or a servo, that sets what the gripper does not have."""
+    known = ", ".join(world.actuators) or "none"
+    strange = sorted({*(scene.servo.open if scene.servo else ())} - {*world.actuators})
+    if strange:
+        msg = f"{scene.file}: servo.open: found the actuator {strange[0]}, expected one of {known}"
+        raise InputError(msg)
     for number, phase in enumerate(scene.motion):
         names = {*_goal(phase, {}), *([SHAKE] if phase.shake else [])}
         if GRIP in names:
             names = names - {GRIP} | {f"{GRIP}_{side}" for side in SIDES}
         missing = sorted(names - {*world.actuators})
         if missing:
-            known = ", ".join(world.actuators) or "none"
             msg = f"{scene.file}: motion[{number}], {phase.name}: found the actuator {missing[0]}"
             msg += f", expected one of the gripper's: {known}"
             raise InputError(msg)

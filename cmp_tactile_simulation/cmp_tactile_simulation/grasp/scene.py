@@ -5,6 +5,7 @@ docs/grasp.md lists the keys.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -83,6 +84,43 @@ class Fingertip(Part):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Servo(Part):
+    """What moves the fingers of another gripper's model, for a controller.
+
+    open, closed: controls of the actuators, by name, where the fingers are open and closed.
+    held N: with which both fingers press on an object that is held.
+    """
+
+    open: Mapping[str, float]
+    closed: Mapping[str, float]
+    held: float = field(default=1.0, metadata=positive(MAX_FORCE_N, "N"))
+
+    def checked(self) -> Servo:
+        """Each actuator has a way to go."""
+        if self.open.keys() != self.closed.keys() or not self.open:
+            raise RefusedValueError("the same actuators as open, at least one", "closed")
+        if any(self.open[name] == self.closed[name] for name in self.open):
+            raise RefusedValueError("other values than open", "closed")
+        return self
+
+    def controls(self, share: float) -> dict[str, float]:
+        """Those of this share of the way from open to closed."""
+        return {
+            name: (1 - share) * value + share * self.closed[name]
+            for name, value in self.open.items()
+        }
+
+    def share(self, controls: Mapping[str, float]) -> float:
+        """Share of the way of which these controls are, 0 for open; NaN where they have none."""
+        shares = [
+            (controls[name] - value) / (self.closed[name] - value)
+            for name, value in self.open.items()
+            if name in controls
+        ]
+        return sum(shares) / len(shares) if shares else math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
 class GraspPhase(Part):
     """A part of a grasp; what it does not name stays as it was.
 
@@ -117,6 +155,7 @@ class GraspKeys(Part):
     rate: of frames, Hz.  contact_nodes, samples: as of a scene.  camera: of both.
     model: MJCF of another gripper, with the sites `left` and `right` (gel frames: z outwards), or
     where fingertips has them; its actuators are set by `controls`.  keyframe: of it, to begin at.
+    servo: of it, by which gripper/command moves the fingers.
     """
 
     name: Name
@@ -129,6 +168,7 @@ class GraspKeys(Part):
     model: str | None = field(default=None, metadata=text())
     fingertips: Mapping[Side, Fingertip] = field(default_factory=dict)
     keyframe: str | None = field(default=None, metadata=text())
+    servo: Servo | None = None
     rate: float = field(default=10.0, metadata=number(1.0, 200.0, "Hz"))
     contact_nodes: int = field(default=20, metadata=number(*NODES_RANGE))
     samples: int = field(default=2, metadata=number(1, 8))
@@ -139,9 +179,9 @@ class GraspKeys(Part):
         """There is something to do."""
         if not self.motion:
             raise RefusedValueError("a list of one or more phases", "motion")
-        if self.model is None and (self.fingertips or self.keyframe):
-            key = "fingertips" if self.fingertips else "keyframe"
-            raise RefusedValueError("no such key without a model", key)
+        for key in ("fingertips", "keyframe", "servo"):
+            if self.model is None and getattr(self, key):
+                raise RefusedValueError("no such key without a model", key)
         if self.model is not None and self.gripper != Gripper():
             raise RefusedValueError("no such key with a model", "gripper")
         return self

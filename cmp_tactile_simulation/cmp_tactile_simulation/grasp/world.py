@@ -30,6 +30,8 @@ PACKAGE = "cmp_tactile_simulation"
 INSTALL = "found no MuJoCo: pip install mujoco"
 # Longer steps let a light object on two gels swing more and more, s.
 MAX_STEP_S = 5e-4
+# Fingers that move less than STILL_M in SETTLE_S are at rest; waited for LONGEST_S at most, s.
+STILL_M, SETTLE_S, LONGEST_S = 1e-6, 0.1, 3.0
 # Names in the packaged gripper, of its actuators (a grip is one of each finger) and of what it
 # holds.
 LIFT, SHAKE, TILT, GRIP, OBJECT = "lift", "shake", "tilt", "grip", "object"
@@ -207,6 +209,35 @@ class World:
         """From the first gel to the second, along the first one's normal, m."""
         (here, turn), (there, _) = self._frames
         return float((there - here) @ turn[:, 2])
+
+    def openings(self, controls: Sequence[Mapping[str, float]]) -> Array:
+        """The opening (n,) m at rest for these n controls, one after the other, without contacts.
+
+        In a world of its own, which begins as this one does.
+        """
+        mujoco, model = self._mujoco, self.model
+        data, flags = mujoco.MjData(model), model.opt.disableflags
+        if self._keyframe is not None:
+            mujoco.mj_resetDataKeyframe(model, data, self._keyframe)
+        (first, second) = self._sites
+        found, steps = [math.inf], round(SETTLE_S / model.opt.timestep)
+        model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        try:
+            for item in controls:
+                for name, value in item.items():
+                    data.ctrl[self._actuator(name)] = value
+                before = found[-1]
+                for _ in range(round(LONGEST_S / SETTLE_S)):
+                    mujoco.mj_step(model, data, steps)
+                    way = data.site_xpos[second] - data.site_xpos[first]
+                    opening = float(way @ data.site_xmat[first].reshape(3, 3)[:, 2])
+                    if abs(opening - before) < STILL_M:
+                        break
+                    before = opening
+                found.append(opening)
+        finally:
+            model.opt.disableflags = flags
+        return np.array(found[1:])
 
     def touch(self, finger: int) -> FingerTouch:
         """The gel of a finger as it was last solved."""

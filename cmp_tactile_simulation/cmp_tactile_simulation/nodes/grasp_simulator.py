@@ -129,11 +129,12 @@ class GraspSimulator(ReportingNode):
         self.warn_of_unknown_parameters()
 
     def _on_command(self, message: Float64) -> None:
-        if math.isfinite(message.data):
-            if self._grasp is not None:
-                self._grasp.command = message.data
-        else:
+        if not math.isfinite(message.data):
             self._warn(f"gripper/command: found {message.data}, expected an opening in m")
+        elif self._scene.model is not None and self._scene.servo is None:
+            self._warn(f"gripper/command: expected the key servo in {self._scene.file}")
+        elif self._grasp is not None:
+            self._grasp.command = message.data
 
     def _on_controls(self, message: JointState) -> None:
         if self._grasp is None:

@@ -283,6 +283,8 @@ def test_packaged_grasps_can_be_read() -> None:
         ("title:", "fingertips: {left: {body: finger}}\ntitle:", "fingertips.*without a model"),
         ("title:", "model: box.yaml\ntitle:", "gripper.*with a model"),
         ("title:", "sensors: {middle: sample_rig}\ntitle:", r"sensors\.middle.*left, right"),
+        ("title:", "servo: {open: {a: 0}, closed: {a: 1}}\ntitle:", "servo.*without a model"),
+        ("title:", "servo: {open: {a: 0}, closed: {b: 1}}\ntitle:", r"servo\.closed.*as open"),
     ],
 )
 def test_wrong_scene_is_named_by_line_and_key(

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_simulation.grasp.live import COMMAND, LiveGrasp, LiveGraspSettings
 from cmp_tactile_simulation.grasp.play import Grasp
-from cmp_tactile_simulation.grasp.scene import SIDES, GraspPhase, GraspScene, load_grasp
+from cmp_tactile_simulation.grasp.scene import (
+    SIDES,
+    GraspPhase,
+    GraspScene,
+    Servo,
+    load_grasp,
+)
 from cmp_tactile_simulation.live.mechanics import REST_PICTURES
 
 pytest.importorskip("mujoco")
@@ -85,6 +93,66 @@ def test_controller_moves_the_fingers_and_the_motion_waits_for_it(box: GraspScen
     advanced(grasp, "open")
     grasp.advance(0.25)
     assert max(grasp.grips) == 0.0
+
+
+# Two fingers that swing in by one servo, so that the opening is no linear function of its control.
+SWINGING = """<mujoco><compiler angle="radian"/><option integrator="implicitfast"/><worldbody>
+  <geom type="plane" size="1 1 0.1"/>
+  <body name="hand" pos="0 0 0.13" gravcomp="1">
+    <inertial mass="1" pos="0 0 0" diaginertia="0.01 0.01 0.01"/>
+    <joint name="lift" type="slide" axis="0 0 1"/>
+    <body name="left_finger" pos="0 -0.015 0" gravcomp="1">
+      <inertial mass="0.02" pos="0 0 -0.1" diaginertia="1e-5 1e-5 1e-5"/>
+      <joint name="left" axis="1 0 0" range="-0.4 0.2" armature="0.001" damping="0.02"/>
+      <site name="left" pos="0 0 -0.1" xyaxes="-1 0 0 0 0 1"/>
+    </body>
+    <body name="right_finger" pos="0 0.015 0" gravcomp="1">
+      <inertial mass="0.02" pos="0 0 -0.1" diaginertia="1e-5 1e-5 1e-5"/>
+      <joint name="right" axis="-1 0 0" range="-0.4 0.2" armature="0.001" damping="0.02"/>
+      <site name="right" pos="0 0 -0.1" xyaxes="-1 0 0 0 0 -1"/>
+    </body>
+  </body></worldbody>
+  <equality><joint joint1="left" joint2="right" solref="0.005 1"/></equality>
+  <actuator><position name="lift" joint="lift" kp="50000" kv="800"/>
+    <general name="servo" joint="left" biastype="affine" gainprm="10" biasprm="0 -20 -0.5"/>
+  </actuator>
+  <keyframe><key name="open" qpos="0 -0.2 -0.2" ctrl="0 -0.4"/></keyframe></mujoco>"""
+
+
+def test_controller_moves_the_fingers_of_another_hand(box: GraspScene, tmp_path: Path) -> None:
+    """Of the servo, only the controls of open and closed fingers are known."""
+    (tmp_path / "hand.xml").write_text(SWINGING)
+    servo = Servo(open={"servo": -0.4}, closed={"servo": 0.2}, held=1.0)
+    motion = (
+        GraspPhase(name="close", duration=0.4, controls={"servo": 0.1}),
+        GraspPhase(name="lift", duration=0.4, controls={"lift": 0.01}),
+        GraspPhase(name="open", duration=0.4, controls={"servo": -0.4}),
+    )
+    changes = {"model": "hand.xml", "file": tmp_path / "scene.yaml", "keyframe": "open"}
+    scene = replace(box, motion=motion, servo=servo, mass=0.05, **changes)
+    grasp = started(scene, drive=COMMAND)
+    begin = grasp.opening
+    # Fingers of 100 mm that are turned by 0.2 rad, 30 mm apart.
+    assert begin == pytest.approx(np.cos(0.2) * (0.03 + 0.2 * np.sin(0.2)), abs=1e-4)
+    grasp.advance(0.6)
+    assert grasp.phase == "close"
+    assert grasp.opening == pytest.approx(begin, abs=1e-4)
+    for wanted in (0.05, 0.04):
+        grasp.command = wanted
+        grasp.advance(1.0)
+        # Between the 33 controls whose opening is known.
+        assert grasp.opening == pytest.approx(wanted, abs=2e-5)
+    assert max(grasp.grips) == 0.0
+    grasp.command = 0.02
+    advanced(grasp, "lift")
+    assert min(grasp.grips) > servo.held
+    advanced(grasp, "open")
+    grasp.advance(0.35)
+    assert max(grasp.grips) == 0.0
+    with pytest.raises(InputError, match=r"servo: found openings of 10\.\d mm where open"):
+        started(replace(scene, servo=replace(servo, open=servo.closed, closed=servo.open)))
+    with pytest.raises(InputError, match=r"servo\.open: found the actuator thumb, expected one"):
+        started(replace(scene, servo=Servo(open={"thumb": 0.0}, closed={"thumb": 1.0})))
 
 
 def test_time_passes_as_asked(box: GraspScene) -> None:
