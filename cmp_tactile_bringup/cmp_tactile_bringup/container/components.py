@@ -32,6 +32,7 @@ from rclpy.utilities import get_default_context
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.ros.process import CallbackErrors, spare_the_collector
+from cmp_tactile_processing.ros.shared_clock import SharedClock
 from cmp_tactile_processing.ros.wiring import WiredNode, Wiring, joining
 
 ENTRY_POINT_GROUP = "cmp_tactile_components"
@@ -109,6 +110,7 @@ class ComponentContainer:
     ) -> None:
         self.context = get_default_context() if context is None else context
         self._lookup = lookup
+        self._clock = SharedClock(self.context)
         self._lock = threading.Lock()
         self._components: dict[int, LoadedComponent] = {}
         self._spinners: dict[str, Spinner] = {}
@@ -190,6 +192,7 @@ class ComponentContainer:
             for item in self._components.values()
             if not item.spinner.join(max(0.0, deadline - time.monotonic()))
         ]
+        self._clock.close()
         if self._lock.acquire(timeout=max(0.0, deadline - time.monotonic())):
             self._components.clear()
             self._lock.release()
@@ -202,10 +205,10 @@ class ComponentContainer:
     def _spinner_of(self, component: Component, found: ComponentClass) -> Spinner:
         """The thread for a component: that of its sensor where it can be connected with others."""
         if not (component.intra_process and issubclass(found, WiredNode)):
-            return Spinner(self.context)
+            return Spinner(self.context, self._clock)
         key = component.namespace.strip("/")
         if key not in self._spinners:
-            self._spinners[key] = Spinner(self.context)
+            self._spinners[key] = Spinner(self.context, self._clock)
         return self._spinners[key]
 
     def _stop(self, loaded: LoadedComponent, timeout: float) -> bool:
@@ -283,9 +286,9 @@ class Spinner:
     failure: why it spins no more, where that was an error.
     """
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, clock: SharedClock) -> None:
         self.failure = ""
-        self._wiring = Wiring()
+        self._wiring = Wiring(clock)
         self._context = context
         self._lock = threading.Lock()
         self._components: dict[Node, LoadedComponent] = {}

@@ -11,7 +11,10 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
+from builtin_interfaces.msg import Time
 from rclpy.logging import LoggingSeverity, get_logger_effective_level
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.errors import CmpTactileError
@@ -103,3 +106,36 @@ def test_log_level(rig):
     assert get_logger_effective_level(logger) is LoggingSeverity.ERROR
     with pytest.raises(CmpTactileError, match="log level: 7 is not a valid"):
         rig.load("Echo", log_level=7)
+
+
+def test_components_share_what_they_hear_of_simulated_time(rig):
+    """A subscription of each node made its executor build the wait set again for every message.
+
+    Reports: ros2/rclpy 1378 and 792, ros/ros_comm 2342.
+    """
+    simulated = {"parameters": {"use_sim_time": True}}
+    ids = [rig.load("Wired", name=f"wired_{number}", **simulated) for number in range(3)]
+    real, gone, stays = (rig.container.list()[unique_id].node for unique_id in ids)
+    publisher = rig.node.create_publisher(Clock, "/clock", 10)
+
+    def seconds(node):
+        return node.get_clock().now().nanoseconds / 1e9
+
+    def send(number):
+        publisher.publish(Clock(clock=Time(sec=number)))
+
+    nodes = real, gone, stays
+    rig.wait(lambda: send(5) or all(seconds(node) == 5 for node in nodes), "the time 5 s")
+    assert publisher.get_subscription_count() == 1
+    last_id = rig.load("Wired", name="late", **simulated)
+    late = rig.container.list()[last_id].node
+    assert seconds(late) == 5
+    real.set_parameters([Parameter("use_sim_time", value=False)])
+    assert seconds(real) > 1e9
+    rig.container.unload(ids[1])
+    rig.wait(lambda: send(6) or seconds(stays) == seconds(late) == 6, "the time 6 s")
+    real.set_parameters([Parameter("use_sim_time", value=True)])
+    assert seconds(real) == 6
+    assert publisher.get_subscription_count() == 1
+    rig.container.shutdown()
+    rig.wait(lambda: publisher.get_subscription_count() == 0, "the container to be gone")

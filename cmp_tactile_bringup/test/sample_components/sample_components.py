@@ -7,6 +7,8 @@ import time
 from rclpy.node import Node
 from std_msgs.msg import String
 
+from cmp_tactile_processing.ros.wiring import WiredNode
+
 
 class Echo(Node):
     """Sends back what it hears, after its prefix."""
@@ -92,3 +94,10 @@ class EndsRos(Node):
 
 class NoNode:
     """Not a node."""
+
+
+class Wired(WiredNode):
+    """One of a sensor's nodes, which does nothing."""
+
+    def __init__(self, **node_kwargs):
+        super().__init__("wired", **node_kwargs)

@@ -21,8 +21,10 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy
+from rosgraph_msgs.msg import Clock
 
 from cmp_tactile_processing.cache.threads import ViewThreads, one_thread
+from cmp_tactile_processing.ros.shared_clock import ClockListener, SharedClock
 
 WAIT_S = 0.1
 """After how long without room a source looks whether it still waits."""
@@ -262,10 +264,11 @@ class Wiring:
     """Connects the outputs and inputs of one sensor's nodes in a container.
 
     lock: whoever calls a node holds it: the thread of the frames, and that of the executor.
+    clock: from which its nodes have simulated time; None where each subscribes.
     """
 
-    def __init__(self) -> None:
-        self.lock = FairLock()
+    def __init__(self, clock: SharedClock | None = None) -> None:
+        self.lock, self.clock = FairLock(), clock
         self._outputs: list[Output] = []
         self._inputs: list[Input] = []
         self._due: SimpleQueue[FrameQueue | None] = SimpleQueue()
@@ -357,6 +360,7 @@ class WiredNode(Node):
         self._wiring = _joined.get()
         self._attached = self._wiring is None
         self._ends: list[Output | Input] = []
+        self._listeners: list[ClockListener] = []
         super().__init__(*args, **kwargs)
 
     def attach(self) -> None:
@@ -377,7 +381,27 @@ class WiredNode(Node):
         if wiring is not None:
             with wiring.lock:
                 self.detach()
+        for listener in self._listeners:
+            listener.close()
         super().destroy_node()
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, *args: Any, **kwargs: Any
+    ) -> Any:
+        """As Node's; of simulated time, the nodes of a container share one."""
+        clock = None if self._wiring is None else self._wiring.clock
+        if clock is None or msg_type is not Clock:
+            return super().create_subscription(msg_type, topic, callback, *args, **kwargs)
+        listener = clock.listen(self.resolve_topic_name(topic), callback)
+        self._listeners.append(listener)
+        return listener
+
+    def destroy_subscription(self, subscription: Any) -> bool:
+        """As Node's."""
+        if not isinstance(subscription, ClockListener):
+            return bool(super().destroy_subscription(subscription))
+        subscription.close()
+        return True
 
     def add_output(
         self,
