@@ -25,7 +25,7 @@ from cmp_tactile_simulation.grasp.play import Grasp, GraspFrame
 from cmp_tactile_simulation.grasp.scene import SIDES, GraspScene, load_grasp, packaged_grasps
 
 UP = np.array([0.0, 0.0, 1.0])
-# What most errors are to stay below, in standard deviations.
+# Errors up to so many standard deviations count as within the error bar.
 MOST_STD = 2.0
 SLIDES = (SlipState.INCIPIENT, SlipState.FULL)
 
@@ -81,7 +81,8 @@ def errors(pairs: list[tuple[float, float, float]], unit: float = 1.0) -> str:
     off = unit * (known[:, 0] - known[:, 1])
     within = int(np.count_nonzero(np.abs(off) <= MOST_STD * unit * known[:, 2]))
     rms, most = float(np.sqrt((off**2).mean())), float(np.abs(off).max())
-    counted = f" ({within} of {len(known)})" if np.isfinite(known).all() else ""
+    judged = int(np.isfinite(known[:, 2]).sum())
+    counted = f" ({within} of {judged})" if judged else ""
     return f"{rms:.2g}, {most:.2g}{counted}"
 
 

@@ -26,7 +26,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml, yaml_value
 from cmp_tactile_simulation.dataset.recipe import packaged_recipes, read_recipe
-from cmp_tactile_simulation.grasp.scene import load_grasp
+from cmp_tactile_simulation.grasp.scene import load_grasp, packaged_grasps
 from cmp_tactile_simulation.scenes.file import read_scene
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -58,6 +58,7 @@ def documented() -> Iterator[Any]:
 OWN_KEYS = {
     "feature map": {"features"},
     "grasp": {"gripper", "fingertips"},
+    "grasp's part": {"servo"},
     "recipe": {"indenters", "history", "variants"},
 }
 
@@ -133,6 +134,13 @@ def read_grasp(folder: Path, block: str) -> None:
     assert load_grasp(str(folder / "grasp.yaml")).motion
 
 
+def read_part_of_a_grasp(folder: Path, block: str) -> None:
+    """The packaged box with a hand of its own."""
+    whole = read_yaml(packaged_grasps()["box"]).content
+    del whole["gripper"]
+    read_grasp(folder, dump_yaml(whole | {"model": "hand.xml"} | yaml_value(block)))
+
+
 def read_ros2_control(_folder: Path, block: str) -> None:
     """Its nodes are not ours: each has parameters, and one axis has as many numbers as the next."""
     nodes = yaml_value(block)
@@ -150,6 +158,7 @@ READERS: dict[str, Callable[[Path, str], None]] = {
     "feature map": read_map,
     "recipe": read_recipe_with,
     "grasp": read_grasp,
+    "grasp's part": read_part_of_a_grasp,
     "ros2_control": read_ros2_control,
 }
 BLOCKS = list(documented())

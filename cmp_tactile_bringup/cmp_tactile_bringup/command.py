@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import io
 import os
 import signal
@@ -36,6 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                     stream.reconfigure(errors="backslashreplace")
             return _run(sys.argv[1:] if argv is None else argv, interruption)
     except KeyboardInterrupt as interrupt:
+        import ctypes
+
         # Never freed: a compiler that was left half way may crash as it is (numba/llvmlite 350).
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(interrupt))
         print("stopped", file=sys.stderr)

@@ -50,7 +50,7 @@ def stopping_signals() -> list[int]:
 
 def ignore_signals() -> None:
     """To be called at the end of a process, which a late signal must not kill."""
-    for number in NUMBERS:
+    for number in (*NUMBERS, signal.SIGALRM):
         signal.signal(number, signal.SIG_IGN)
 
 
@@ -100,7 +100,7 @@ class Interruption:
     def __init__(self) -> None:
         self.number = 0
         self._earlier: dict[int, Any] = {}
-        self._hooks: tuple[Any, Any] = (sys.excepthook, sys.unraisablehook)
+        self._excepthook = sys.excepthook
 
     def __enter__(self) -> Interruption:
         for number in (*stopping_signals(), signal.SIGALRM):
@@ -114,7 +114,7 @@ class Interruption:
             self._earlier[signal.SIGHUP] = signal.SIG_IGN
         for number, handler in self._earlier.items():
             signal.signal(number, handler)
-        sys.excepthook = self._hooks[0]
+        sys.excepthook = self._excepthook
 
     @property
     def exit_code(self) -> int:
@@ -129,8 +129,8 @@ class Interruption:
             return
         if number != signal.SIGALRM:
             self.number = number
-        # C code may print what it drops; and what is left half made fails in its finaliser, until
-        # the process ends.
+        # C code may print what it drops; and objects that are incomplete may raise in their
+        # finalisers, until the process ends.
         sys.excepthook = sys.unraisablehook = _show_nothing
         raise KeyboardInterrupt
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -79,11 +79,11 @@ class Dataset(Command):
         console = output_console(stderr=True)
         shards = begin(recipe, folder, resume=self.resume)
         failed = 0
-        with shown_stages() as on_stage:
+        with shown_stages() as on_stage, closing(self._run(recipe, shards)) as results:
             if shards:
                 _prepare(recipe, on_stage)
             done = recipe.samples - sum(shard.end - shard.first for shard in shards)
-            for shard, result in self._run(recipe, shards):
+            for shard, result in results:
                 if isinstance(result, Exception):
                     failed += 1
                     print_line(console, f"{result}", "red")

@@ -21,7 +21,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy
-from rosgraph_msgs.msg import Clock
+from rclpy.time_source import TimeSource
 
 from cmp_tactile_processing.cache.threads import ViewThreads, one_thread
 from cmp_tactile_processing.ros.shared_clock import ClockListener, SharedClock
@@ -383,14 +383,15 @@ class WiredNode(Node):
                 self.detach()
         for listener in self._listeners:
             listener.close()
+        self._listeners.clear()
         super().destroy_node()
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Any, *args: Any, **kwargs: Any
     ) -> Any:
-        """As Node's; of simulated time, the nodes of a container share one."""
+        """As Node's.  In a container, what rclpy itself hears of simulated time is shared."""
         clock = None if self._wiring is None else self._wiring.clock
-        if clock is None or msg_type is not Clock:
+        if clock is None or not isinstance(getattr(callback, "__self__", None), TimeSource):
             return super().create_subscription(msg_type, topic, callback, *args, **kwargs)
         listener = clock.listen(self.resolve_topic_name(topic), callback)
         self._listeners.append(listener)
@@ -401,6 +402,7 @@ class WiredNode(Node):
         if not isinstance(subscription, ClockListener):
             return bool(super().destroy_subscription(subscription))
         subscription.close()
+        self._listeners.remove(subscription)
         return True
 
     def add_output(

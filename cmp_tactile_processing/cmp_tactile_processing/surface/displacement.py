@@ -75,11 +75,12 @@ class Reference:
     def average(
         cls, markers: Sequence[Markers3D], reference_id: int, stamp_ns: int = 0
     ) -> Reference:
-        """Mean of several frames of the gel at rest; of three or more, one may be a bad one.
+        """Mean of several frames of the gel at rest.
 
-        A marker that was measured in some frames is averaged from these, one that was predicted in
-        all from all.  Raises CalibrationError without frames, when fewer than half of the
-        markers were seen, or when they moved while the frames were taken.
+        Of three frames or more, one in ten, at least one, may be bad: markers moved, or something
+        touched the gel.  A marker that was measured in some frames is averaged from these, one that
+        was predicted in all from all.  Raises CalibrationError without frames, when fewer than half
+        of the markers were seen, or when more frames are bad.
         """
         if not markers:
             msg = "reference: found no frames, expected at least one"
@@ -178,15 +179,16 @@ def _at_rest(stack: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.
         typical = [
             float(np.median(o[s])) if s.any() else 0.0 for o, s in zip(off, often, strict=True)
         ]
-        dents, least = dents_of_frames(np.where((off <= STILL_LIMIT)[..., None], stack, np.nan))
+        shown, dents = seen.any(axis=(1, 2)), np.zeros(len(stack))
+        dents[shown], least = dents_of_frames(stack[shown])
         bad = (np.array(typical) > STILL_LIMIT) | (dents > least)
         if np.count_nonzero(bad) <= max(1, voters // FRAMES_PER_BAD_ONE):
             used[bad] = False
         elif (dents > least).any():
             msg = (
-                f"reference: found {np.count_nonzero(bad)} of {voters} frames in which markers "
-                f"are off the other frames, together by up to {dents.max() * 1e6:.0f} um, expected "
-                f"a gel at rest (at most {least * 1e6:.0f} um)"
+                f"reference: found {np.count_nonzero(dents > least)} of {voters} frames in which "
+                f"neighbouring markers are off the other frames by up to {dents.max() * 1e6:.0f} "
+                f"um, expected a gel at rest (at most {least * 1e6:.0f} um)"
             )
             raise CalibrationError(msg)
     moved = float(np.median(np.max(off, axis=0, where=used, initial=0.0)[used.any(axis=0)]))

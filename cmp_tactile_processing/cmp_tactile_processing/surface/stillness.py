@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from cmp_tactile_processing.geometry.rigid_motion import (
     NEIGHBOURS,
@@ -30,7 +31,7 @@ DEVIATIONS = 5.0
 # Motion below this is none, m: a tenth of the least that a load of interest makes.
 LEAST_MOTION = 3e-6
 # A dent of a single frame below this is none, m.  In a fifth of the frames of a reference it would
-# feign 5 mN (sample_rig, ball of 10 mm).
+# shift the zero by 5 mN (sample_rig, ball of 10 mm).
 LEAST_DENT = 15e-6
 # Another scale is another sensor, or a press from rim to rim.
 LARGEST_SCALE = 0.03
@@ -132,17 +133,28 @@ def rest_shape(rest: NDArray[np.float64], position: NDArray[np.float64]) -> Rest
 
 
 def dents_of_frames(stack: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Most that neighbouring markers of each frame are off the frames' median, and its limit, m.
+    """How far neighbouring markers of each frame are together off the median of all, at most, m.
 
-    stack (F, rows, cols, 3) m; a rigid motion, as of a camera that shakes, and a scale are left
-    out; 0 where too few markers are known.  Beyond the limit it is a touch and not noise.
+    stack (F, rows, cols, 3) m.  Returns these (F,), 0 where too few markers are known, and the
+    limit above which it is a touch and not noise.  A rigid motion, as of a camera that shakes, and
+    a scale are left out, and so are single markers that jump.
     """
-    middle = _median(stack)
-    shapes = [rest_shape(middle, item) for item in stack]
-    noise = float(np.nan_to_num(_shake(stack))) / math.sqrt(NEIGHBOURS)
-    return np.array([shape.bump if shape else 0.0 for shape in shapes]), max(
-        LEAST_DENT, DEVIATIONS * noise
-    )
+    middle, off = _median(stack), np.full(stack.shape, np.nan)
+    for frame, residual in zip(stack, off, strict=True):
+        motion = fit_motion(middle, frame, scaled=True)
+        if motion is not None:
+            residual[:] = motion.residual
+    together = median_filter(np.nan_to_num(off), size=(1, 3, 3, 1))
+    dents = np.linalg.norm(together, axis=-1).max(axis=(1, 2))
+    # Noise is what differs from neighbour to neighbour, also in three frames of which one is
+    # touched; that of the half of the frames with the smallest dents.
+    quiet = np.argsort(dents)[: (len(stack) + 1) // 2]
+    apart = np.nansum((off[quiet] - together[quiet]) ** 2, axis=-1)
+    known = np.isfinite(off[quiet, ..., 0])
+    mean = np.where(known, apart, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    seen = mean[known.any(axis=0)]
+    variance = float(np.quantile(seen, MOST_MARKERS)) / (NEIGHBOURS - 1) if len(seen) else 0.0
+    return dents, max(LEAST_DENT, DEVIATIONS * MEDIAN_TO_MEAN * math.sqrt(variance))
 
 
 def motion_limit(position: NDArray[np.float64]) -> float:

@@ -245,6 +245,21 @@ class TestReference:
         # Errors of the mean of 18 frames, the largest of 400 markers.
         assert np.abs(reference.position - nominal).max() < 5 * NOISE[2] / np.sqrt(18)
 
+    @pytest.mark.parametrize("count", [3, 5, 8])
+    def test_a_touch_in_the_middle_of_few_frames_is_no_part_of_it(self, nominal, count):
+        frames = list(_frames(nominal, count=count))
+        dent = _bump(nominal, 250 * UM)
+        frames[count // 2] = replace(frames[count // 2], position=nominal + dent)
+        reference = Reference.average(frames, 1)
+        assert reference.frames == count - 1
+        assert np.abs(reference.position - nominal).max() < 5 * NOISE[2] / np.sqrt(count - 1)
+
+    def test_a_touch_is_found_beside_frames_that_show_nothing(self, nominal):
+        hidden = np.full(nominal.shape, np.nan)
+        frames = [_markers(hidden) if k % 2 else item for k, item in enumerate(_frames(nominal))]
+        frames[10] = replace(frames[10], position=frames[10].position + _bump(nominal, 2e-4))
+        assert Reference.average(frames, 1).frames == 9
+
     @pytest.mark.parametrize("noise", [NOISE, 10 * NOISE])
     def test_frames_of_a_camera_that_shakes_or_is_noisy_serve(self, nominal, noise):
         rng = np.random.default_rng(3)

@@ -14,7 +14,7 @@ from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.grasp.play import Asked, Grasp, motion_of
-from cmp_tactile_simulation.grasp.scene import SIDES, GraspPhase, GraspScene, Servo
+from cmp_tactile_simulation.grasp.scene import SIDES, GraspScene, Servo
 from cmp_tactile_simulation.grasp.world import GRIP, OBJECT, OPENING, World
 from cmp_tactile_simulation.live.mechanics import REST_PICTURES
 from cmp_tactile_simulation.live.sensor import with_half_the_pixels
@@ -27,8 +27,10 @@ Image = NDArray[np.uint8]
 DRIVES = SCENE, COMMAND = "scene", "command"
 # An object is held where a controller presses with this share of the scene's grip for so long, s.
 HELD_SHARE, HELD_S = 0.5, 1.0
-# Shares of the way of a servo at which the opening is found; it is more than this, m.
-SERVO_SHARES, LEAST_WAY = np.linspace(0.0, 1.0, 33), 1e-3
+# Places of a servo, from open to closed, at which the opening is measured.
+SERVO_SHARES = np.linspace(0.0, 1.0, 33)
+# Least difference between open and closed, m.
+LEAST_TRAVEL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,9 @@ class LiveGrasp:
             for number, (side, tip) in enumerate(tips.items())
         }
         self._gripping, self._letting_go = _closing_and_opening(scene)
-        self._openings = _servo_openings(scene, self._grasp.world)
+        self._openings = np.zeros(0)
+        if settings.drive == COMMAND and scene.servo is not None:
+            self._openings = _servo_openings(scene, scene.servo, self._grasp.world)
         self._step_s = float(self._grasp.world.model.opt.timestep)
         self._moments = self.taken = 0
         self._asked_s, self._steps = 0.0, 0
@@ -113,7 +117,7 @@ class LiveGrasp:
         self._held_s = 0.0
         self.command: float | None = None
         self.controls: Mapping[str, float] = {}
-        self._asked = Asked(self._scene.motion[0], mass=self._scene.mass)
+        self._asked = Asked(0, self._scene.motion[0], mass=self._scene.mass)
         self._motion: Iterator[Asked] = motion_of(self._scene, self._grasp.world, self._lasts)
 
     @property
@@ -171,16 +175,16 @@ class LiveGrasp:
         share = 0.0
         if self.command is not None:
             share = float(np.interp(-self.command, -self._openings, SERVO_SHARES))
-        if any(self._asked.phase is phase for phase in self._letting_go):
+        if self._asked.number in self._letting_go:
             share = min(share, servo.share(asked))
         return servo.controls(share)
 
-    def _lasts(self, phase: GraspPhase) -> bool:
+    def _lasts(self, number: int) -> bool:
         """Whether the object is not held yet, where a controller is to grip it."""
-        if self._settings.drive == SCENE or phase is not self._gripping:
+        if self._settings.drive == SCENE or number != self._gripping:
             return False
-        servo = self._scene.servo
-        held = HELD_SHARE * (phase.grip or 0.0) if servo is None else servo.held
+        servo, grip = self._scene.servo, self._scene.motion[number].grip
+        held = HELD_SHARE * (grip or 0.0) if servo is None else servo.held
         pressed = min(self.grips) > held
         self._held_s = self._held_s + self._step_s if pressed else 0.0
         return self._held_s < HELD_S
@@ -215,36 +219,36 @@ class LiveGrasp:
         }
 
 
-def _closing_and_opening(scene: GraspScene) -> tuple[GraspPhase | None, tuple[GraspPhase, ...]]:
-    """The phase that grips, None without one; and the phases after it from that on which lets go.
+def _closing_and_opening(scene: GraspScene) -> tuple[int | None, set[int]]:
+    """Number of the phase that grips, None without one, and of those in which a servo lets go.
 
-    That is one which takes back half of the grip.
+    The first that asks for a grip; of a servo, the first that closes it most.  Later, the servo
+    lets go while the scene has it open by more than half.
     """
     servo = scene.servo
-    grips = [
-        (math.nan if phase.grip is None else phase.grip)
-        if servo is None
-        else servo.share(phase.controls)
-        for phase in scene.motion
-    ]
-    closing = next((n for n, grip in enumerate(grips) if grip > 0), None)
-    if closing is None:
-        return None, ()
-    later = range(closing + 1, len(grips))
-    opening = next((n for n in later if grips[n] < grips[closing] / 2), len(grips))
-    return scene.motion[closing], scene.motion[opening:]
+    if servo is None:
+        grips = (n for n, phase in enumerate(scene.motion) if (phase.grip or 0.0) > 0)
+        return next(grips, None), set()
+    shares = [0.0]
+    for phase in scene.motion:
+        share = servo.share(phase.controls)
+        shares.append(shares[-1] if math.isnan(share) else share)
+    gripping = int(np.argmax(shares)) - 1
+    if gripping < 0:
+        return None, set()
+    later = range(gripping + 1, len(scene.motion))
+    return gripping, {n for n in later if shares[n + 1] < shares[gripping + 1] / 2}
 
 
-def _servo_openings(scene: GraspScene, world: World) -> Array:
-    """Openings (n,) m at SERVO_SHARES, falling; empty without a servo.
+def _servo_openings(scene: GraspScene, servo: Servo, world: World) -> Array:
+    """Openings (n,) m at SERVO_SHARES, falling.
 
     Raises InputError for a servo that does not close the fingers.
     """
-    if scene.servo is None:
-        return np.zeros(0)
-    found = world.openings([scene.servo.controls(share) for share in SERVO_SHARES])
-    if not found[0] - found[-1] > LEAST_WAY:
+    found = world.openings([servo.controls(share) for share in SERVO_SHARES])
+    if not found[0] - found[-1] > LEAST_TRAVEL:
         msg = f"{scene.file}: servo: found openings of {1e3 * found[0]:.1f} mm where open and "
-        msg += f"{1e3 * found[-1]:.1f} mm where closed, expected {1e3 * LEAST_WAY:g} mm between"
+        msg += f"{1e3 * found[-1]:.1f} mm where closed, expected more than "
+        msg += f"{1e3 * LEAST_TRAVEL:g} mm less where closed"
         raise InputError(msg)
     return np.minimum.accumulate(found)

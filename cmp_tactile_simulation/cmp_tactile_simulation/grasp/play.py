@@ -56,9 +56,11 @@ class GraspFrame:
 class Asked:
     """What is asked of gripper and object at one time step.
 
-    controls: of actuators, by name.  push (6,) N and N m: on the object.  mass kg: of the object.
+    number: of the phase.  controls: of actuators, by name.  push (6,) N and N m: on the object.
+    mass kg: of the object.
     """
 
+    number: int
     phase: GraspPhase
     controls: dict[str, float] = field(default_factory=dict)
     push: Array = field(default_factory=lambda: np.zeros(6))
@@ -66,14 +68,14 @@ class Asked:
 
 
 def motion_of(
-    scene: GraspScene, world: World, lasts: Callable[[GraspPhase], bool] = lambda _: False
+    scene: GraspScene, world: World, lasts: Callable[[int], bool] = lambda _: False
 ) -> Iterator[Asked]:
     """What a scene asks, for each time step of a world at its beginning.
 
-    lasts: whether a phase goes on as it is where its duration is over.
+    lasts: whether the phase of a number goes on as it is where its duration is over.
     """
-    before, step = Asked(scene.motion[0], mass=scene.mass), world.model.opt.timestep
-    for phase in scene.motion:
+    before, step = Asked(0, scene.motion[0], mass=scene.mass), world.model.opt.timestep
+    for which, phase in enumerate(scene.motion):
         goal = _goal(phase, before.controls)
         begin = {name: before.controls.get(name, world.control(name)) for name in goal}
         heavier = before.mass if phase.mass is None else phase.mass
@@ -89,10 +91,11 @@ def motion_of(
                 angle = 2 * math.pi * phase.shake_hz * number * step
                 controls[SHAKE] = controls.get(SHAKE, 0.0) + phase.shake * math.sin(angle)
             now_push = (1 - smooth) * before.push + smooth * push
-            yield Asked(phase, controls, now_push, before.mass + (heavier - before.mass) * share)
-            if number >= steps and not lasts(phase):
+            mass = before.mass + (heavier - before.mass) * share
+            yield Asked(which, phase, controls, now_push, mass)
+            if number >= steps and not lasts(which):
                 break
-        before = Asked(phase, controls, push, heavier)
+        before = Asked(which, phase, controls, push, heavier)
 
 
 class Grasp:

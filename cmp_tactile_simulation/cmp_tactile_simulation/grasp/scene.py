@@ -111,7 +111,7 @@ class Servo(Part):
         }
 
     def share(self, controls: Mapping[str, float]) -> float:
-        """Share of the way of which these controls are, 0 for open; NaN where they have none."""
+        """Mean place of these controls between open, 0, and closed, 1; NaN without any of them."""
         shares = [
             (controls[name] - value) / (self.closed[name] - value)
             for name, value in self.open.items()
@@ -155,7 +155,7 @@ class GraspKeys(Part):
     rate: of frames, Hz.  contact_nodes, samples: as of a scene.  camera: of both.
     model: MJCF of another gripper, with the sites `left` and `right` (gel frames: z outwards), or
     where fingertips has them; its actuators are set by `controls`.  keyframe: of it, to begin at.
-    servo: of it, by which gripper/command moves the fingers.
+    servo: its actuators that gripper/command moves.
     """
 
     name: Name

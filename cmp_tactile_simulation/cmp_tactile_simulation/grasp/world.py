@@ -30,8 +30,11 @@ PACKAGE = "cmp_tactile_simulation"
 INSTALL = "found no MuJoCo: pip install mujoco"
 # Longer steps let a light object on two gels swing more and more, s.
 MAX_STEP_S = 5e-4
-# Fingers that move less than STILL_M in SETTLE_S are at rest; waited for LONGEST_S at most, s.
-STILL_M, SETTLE_S, LONGEST_S = 1e-6, 0.1, 3.0
+# Fingers are at rest that move less than this, m,
+STILL_M = 1e-6
+# in this time, s; they have this long, s.
+SETTLE_S = 0.1
+LONGEST_S = 3.0
 # Names in the packaged gripper, of its actuators (a grip is one of each finger) and of what it
 # holds.
 LIFT, SHAKE, TILT, GRIP, OBJECT = "lift", "shake", "tilt", "grip", "object"
@@ -213,7 +216,8 @@ class World:
     def openings(self, controls: Sequence[Mapping[str, float]]) -> Array:
         """The opening (n,) m at rest for these n controls, one after the other, without contacts.
 
-        In a world of its own, which begins as this one does.
+        In a world of its own, which begins as this one does.  Raises InputError where it has no
+        solution.
         """
         mujoco, model = self._mujoco, self.model
         data, flags = mujoco.MjData(model), model.opt.disableflags
@@ -235,6 +239,11 @@ class World:
                         break
                     before = opening
                 found.append(opening)
+            warned = data.warning.number
+            if warned.any():
+                text = mujoco.mju_warningText(int(warned.argmax()), 0)
+                msg = f"model: MuJoCo: {text}, as the servo moves the fingers alone"
+                raise InputError(msg)
         finally:
             model.opt.disableflags = flags
         return np.array(found[1:])

@@ -40,7 +40,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import parameter
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.grasp.body import OBJECT_FRAME, object_marker
-from cmp_tactile_simulation.grasp.live import GraspMoment, LiveGrasp, LiveGraspSettings
+from cmp_tactile_simulation.grasp.live import COMMAND, GraspMoment, LiveGrasp, LiveGraspSettings
 from cmp_tactile_simulation.grasp.scene import SIDES, load_grasp
 from cmp_tactile_simulation.grasp.world import load_mujoco
 from cmp_tactile_simulation.recording.truth import pose_message, transform_message
@@ -131,8 +131,8 @@ class GraspSimulator(ReportingNode):
     def _on_command(self, message: Float64) -> None:
         if not math.isfinite(message.data):
             self._warn(f"gripper/command: found {message.data}, expected an opening in m")
-        elif self._scene.model is not None and self._scene.servo is None:
-            self._warn(f"gripper/command: expected the key servo in {self._scene.file}")
+        elif self._scene.model and not self._scene.servo and self._own.drive == COMMAND:
+            self._warn(f"gripper/command: found no key servo in {self._scene.file}, expected it")
         elif self._grasp is not None:
             self._grasp.command = message.data
 

@@ -149,8 +149,19 @@ def test_controller_moves_the_fingers_of_another_hand(box: GraspScene, tmp_path:
     advanced(grasp, "open")
     grasp.advance(0.35)
     assert max(grasp.grips) == 0.0
+    # What only shapes the hand does not wait, and what closes again is the controller's.
+    shape = GraspPhase(name="shape", duration=0.1, controls={"servo": -0.3})
+    scene = replace(scene, motion=(shape, *motion, *motion))
+    grasp = started(scene, drive=COMMAND)
+    grasp.command = 0.02
+    for phase in ("close", "lift", "open", "close"):
+        advanced(grasp, phase)
+    assert max(grasp.grips) == 0.0
+    advanced(grasp, "lift")
+    assert min(grasp.grips) > servo.held
+    opens = replace(servo, open=servo.closed, closed=servo.open)
     with pytest.raises(InputError, match=r"servo: found openings of 10\.\d mm where open"):
-        started(replace(scene, servo=replace(servo, open=servo.closed, closed=servo.open)))
+        started(replace(scene, servo=opens), drive=COMMAND)
     with pytest.raises(InputError, match=r"servo\.open: found the actuator thumb, expected one"):
         started(replace(scene, servo=Servo(open={"thumb": 0.0}, closed={"thumb": 1.0})))
 
