@@ -10,13 +10,12 @@ forces are compared with those that the true forces give, and with the friction 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from tables import head, line
+from tables import CommandLine, head, line
 
 from cmp_tactile_processing.force.grasp import Finger, GraspEstimator, GraspState, friction_use
 from cmp_tactile_processing.measured import SlipState
@@ -105,7 +104,7 @@ def row(name: str) -> str:
         (m.measured.supported_weight, m.weight, m.measured.supported_weight_std) for m in found
     ]
     full = sum(true is SlipState.FULL for _, true in states)
-    told = sum(true is SlipState.FULL and felt in SLIDES for felt, true in states)
+    reported = sum(true is SlipState.FULL and felt in SLIDES for felt, true in states)
     false = sum(felt is SlipState.FULL and true not in SLIDES for felt, true in states)
     return line(
         f"`{name}`",
@@ -115,21 +114,19 @@ def row(name: str) -> str:
         errors(used),
         errors(margin),
         f"{friction} ({scene.object.friction:g})",
-        f"{told} of {full}, {false} false",
+        f"{reported} of {full}, {false} false",
     )
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandLine(__doc__)
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help="default: the packaged ones")
     names = parser.parse_args().scenes or list(packaged_grasps())
     print(
         head(
             *("grasp", "frames", "grip force, mN", "weight, mN"),
-            *("friction used", "margin", "friction (true)", "FULL told"),
+            *("friction used", "margin", "friction (true)", "FULL reported"),
         )
     )
     for name in names:

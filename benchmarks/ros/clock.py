@@ -9,7 +9,6 @@ second; beside them as many empty nodes of rclpy in its own executor.
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
@@ -21,7 +20,8 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from tables import head, line
+from real_time import busy_s
+from tables import CommandLine, head, line
 
 RATES_HZ = (0, 100, 1000)
 NODES = 7
@@ -43,13 +43,6 @@ for number in range({NODES}):
 executor.spin()
 """
 PLAIN = [sys.executable, "-c", EMPTY_NODES, "--ros-args", "-p", "use_sim_time:=true"]
-TICKS = os.sysconf("SC_CLK_TCK")
-
-
-def used_s(pid: int) -> float:
-    """Processor time of a process, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS
 
 
 def publish(node: Node, publisher: Publisher[Clock], rate: int, duration_s: float) -> None:
@@ -77,9 +70,9 @@ def shares(command: list[str], nodes: int) -> list[float]:
         # So that work done once at the start is not measured.
         publish(node, publisher, RATES_HZ[1], MEASURED_S / 2)
         for rate in RATES_HZ:
-            before = used_s(running.pid)
+            before = busy_s(running.pid)
             publish(node, publisher, rate, MEASURED_S)
-            found.append((used_s(running.pid) - before) / MEASURED_S)
+            found.append((busy_s(running.pid) - before) / MEASURED_S)
         running.terminate()
     node.destroy_node()
     return found
@@ -87,6 +80,7 @@ def shares(command: list[str], nodes: int) -> list[float]:
 
 def main() -> None:
     """Print the table."""
+    CommandLine(__doc__).parse_args()
     rclpy.init()
     print(head("share of a processor", *(f"{rate} Hz" for rate in RATES_HZ)))
     for name, command in ((f"{NODES} nodes of rclpy, empty", PLAIN), ("nodes of a sensor", OURS)):

@@ -30,9 +30,8 @@ PACKAGE = "cmp_tactile_simulation"
 INSTALL = "found no MuJoCo: pip install mujoco"
 # Longer steps let a light object on two gels swing more and more, s.
 MAX_STEP_S = 5e-4
-# Fingers are at rest that move less than this, m,
+# Fingers are at rest if they move less than STILL_M in SETTLE_S; they have LONGEST_S for it.
 STILL_M = 1e-6
-# in this time, s; they have this long, s.
 SETTLE_S = 0.1
 LONGEST_S = 3.0
 # Names in the packaged gripper, of its actuators (a grip is one of each finger) and of what it
@@ -162,12 +161,15 @@ class World:
 
     def reset(self) -> None:
         """Everything where it was at the beginning; gels have to be held again."""
-        self._mujoco.mj_resetData(self.model, self.data)
-        if self._keyframe is not None:
-            self._mujoco.mj_resetDataKeyframe(self.model, self.data, self._keyframe)
+        self._begin(self.data)
         self.model.body_mass[:], self.model.body_inertia[:] = self._masses
         self.model.actuator_forcerange[:] = self._limits
         self._mujoco.mj_forward(self.model, self.data)
+
+    def _begin(self, data: Any) -> None:
+        self._mujoco.mj_resetData(self.model, data)
+        if self._keyframe is not None:
+            self._mujoco.mj_resetDataKeyframe(self.model, data, self._keyframe)
 
     @property
     def actuators(self) -> Collection[str]:
@@ -210,20 +212,22 @@ class World:
     @property
     def opening(self) -> float:
         """From the first gel to the second, along the first one's normal, m."""
-        (here, turn), (there, _) = self._frames
-        return float((there - here) @ turn[:, 2])
+        return self._opening_in(self.data)
+
+    def _opening_in(self, data: Any) -> float:
+        first, second = self._sites
+        way = data.site_xpos[second] - data.site_xpos[first]
+        return float(way @ data.site_xmat[first].reshape(3, 3)[:, 2])
 
     def openings(self, controls: Sequence[Mapping[str, float]]) -> Array:
         """The opening (n,) m at rest for these n controls, one after the other, without contacts.
 
-        In a world of its own, which begins as this one does.  Raises InputError where it has no
+        In a world of its own, which begins as this one does.  Raises ContactError where it has no
         solution.
         """
         mujoco, model = self._mujoco, self.model
         data, flags = mujoco.MjData(model), model.opt.disableflags
-        if self._keyframe is not None:
-            mujoco.mj_resetDataKeyframe(model, data, self._keyframe)
-        (first, second) = self._sites
+        self._begin(data)
         found, steps = [math.inf], round(SETTLE_S / model.opt.timestep)
         model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         try:
@@ -233,17 +237,12 @@ class World:
                 before = found[-1]
                 for _ in range(round(LONGEST_S / SETTLE_S)):
                     mujoco.mj_step(model, data, steps)
-                    way = data.site_xpos[second] - data.site_xpos[first]
-                    opening = float(way @ data.site_xmat[first].reshape(3, 3)[:, 2])
+                    opening = self._opening_in(data)
                     if abs(opening - before) < STILL_M:
                         break
                     before = opening
                 found.append(opening)
-            warned = data.warning.number
-            if warned.any():
-                text = mujoco.mju_warningText(int(warned.argmax()), 0)
-                msg = f"model: MuJoCo: {text}, as the servo moves the fingers alone"
-                raise InputError(msg)
+            self._check(data)
         finally:
             model.opt.disableflags = flags
         return np.array(found[1:])
@@ -289,18 +288,21 @@ class World:
             for body, acting in ((self._fingers[finger], wrench), (self._held, -wrench)):
                 push(acting, turn, self._at[0] - self._centres[body], self._applied[body])
         self._mujoco.mj_step(model, data)
-        # It has begun again by itself then.
+        self._check(data)
+        # Poses and velocities of the new place, without another step.
+        self._mujoco.mj_kinematics(model, data)
+        self._mujoco.mj_comPos(model, data)
+        self._mujoco.mj_comVel(model, data)
+        self.solve()
+
+    def _check(self, data: Any) -> None:
+        """Raise ContactError where there was no solution: MuJoCo has begun again by itself then."""
         warned = data.warning.number
         if warned.any():
             kind = int(warned.argmax())
             text = self._mujoco.mju_warningText(kind, int(data.warning.lastinfo[kind]))
             msg = f"MuJoCo: {text}"
             raise ContactError(msg)
-        # Poses and velocities of the new place, without another step.
-        self._mujoco.mj_kinematics(model, data)
-        self._mujoco.mj_comPos(model, data)
-        self._mujoco.mj_comVel(model, data)
-        self.solve()
 
     def solve(self, *, always: bool = False) -> None:
         """Solve the gels over which the object has moved noticeably, or all of them.
